@@ -1,0 +1,257 @@
+//! `instrument.toml`: devices, ports, geometry, cameras, filter slots, limits, safe state.
+
+use goniod_drivers::frame::PixelFormat;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+/// The hardware and its settings, as the file says it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Instrument {
+    /// Name for reports.
+    pub name: String,
+    /// Folder that run directories are made in, relative to the working directory.
+    pub runs_dir: PathBuf,
+    /// Present when ports named `sim:…` belong to a simulated bench.
+    pub simulation: Option<Simulation>,
+    /// Lamp spectrum and warm-up.
+    pub lamp: Lamp,
+    /// Sample holder: tilt, spin and, where there is one, the changer axis.
+    pub holder: Holder,
+    /// Filter wheel with its slots.
+    pub filter_wheel: FilterWheel,
+    /// Shutter in the beam.
+    pub shutter: Shutter,
+    /// Cameras by name (`ccd`, `ingaas`).
+    pub camera: BTreeMap<String, Camera>,
+    /// Mirror and collecting optics.
+    pub optics: Optics,
+    /// Known diffusers for the reference views.
+    pub reference: References,
+    /// What to do, in which order, to be safe.
+    pub safe_state: SafeState,
+}
+
+/// Which simulated bench answers the `sim:…` ports.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Simulation {
+    /// The bench's own description (truth), relative to the instrument file.
+    pub bench: PathBuf,
+    /// Seed of every random draw of the bench.
+    pub seed: u64,
+}
+
+/// The light source.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Lamp {
+    /// Relative spectral power, CSV `wavelength_nm,value`, relative to the instrument file.
+    pub spectrum: PathBuf,
+    /// Irradiance on the sample plane at normal incidence without filter, 300-1700 nm; absent = ratio mode only.
+    pub irradiance_uw_per_cm2: Option<f64>,
+    /// Relative standard uncertainty of that irradiance.
+    pub irradiance_relative_uncertainty: Option<f64>,
+    /// Relative standard uncertainty of the lamp's steadiness between two reference views.
+    pub drift_relative_uncertainty: f64,
+}
+
+/// The sample holder.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Holder {
+    /// Driver name from the driver table (`zaber-ascii`).
+    pub driver: String,
+    /// Serial port path, or `sim:holder`.
+    pub port: String,
+    /// Tilt: polar angle of the source seen from the camera side's normal (0 = reflection at normal incidence, 180 = straight through).
+    pub tilt: Axis,
+    /// Spin: azimuth of the source in the table's axes.
+    pub spin: Axis,
+    /// Changer that turns the sample over and presents the references; absent = sample front only, no references.
+    pub changer: Option<Changer>,
+}
+
+/// One rotation axis.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Axis {
+    /// Device number in the chain.
+    pub device: u8,
+    /// Axis number of the device.
+    pub axis: u8,
+    /// Serial number the device must report.
+    pub serial: String,
+    /// Lowest angle that may be commanded.
+    pub min_deg: f64,
+    /// Highest angle that may be commanded.
+    pub max_deg: f64,
+    /// Axis angle at which the mechanical zero of the table lies.
+    pub zero_deg: f64,
+    /// Nominal speed, for forecasts and deadlines.
+    pub speed_deg_per_s: f64,
+    /// Nominal acceleration.
+    pub acceleration_deg_per_s2: f64,
+    /// Largest accepted difference between commanded and read position.
+    pub tolerance_deg: f64,
+    /// Wait after the axis stands.
+    pub settle_s: f64,
+}
+
+/// Third axis: what it presents at which angle.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Changer {
+    /// The axis.
+    pub axis: Axis,
+    /// Angle at which the sample's interior side faces the camera.
+    pub sample_deg: f64,
+    /// Angle at which the sample's exterior side faces the camera (turned about the vertical).
+    pub sample_flipped_deg: f64,
+    /// Angle of the reflecting diffuser.
+    pub reflection_reference_deg: Option<f64>,
+    /// Angle of the transmitting diffuser.
+    pub transmission_reference_deg: Option<f64>,
+}
+
+/// The filter wheel.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FilterWheel {
+    /// Driver name (`thorlabs-fw212c`).
+    pub driver: String,
+    /// Serial port path, or `sim:filter-wheel`.
+    pub port: String,
+    /// Number of places the wheel must report.
+    pub places: u8,
+    /// Time for one place, for forecasts.
+    pub step_s: f64,
+    /// Wait after arrival.
+    pub settle_s: f64,
+    /// What is in the places, by slot number written as a key ("1" to "12").
+    pub slot: BTreeMap<String, FilterSlot>,
+    /// CSV with internal transmittance at 1 mm by glass.
+    pub glasses: PathBuf,
+    /// CSV with the reflection factor P by glass.
+    pub glass_parameters: PathBuf,
+}
+
+/// One place of the wheel.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FilterSlot {
+    /// Name of the band this stack isolates, `open` or `dark`.
+    pub band: String,
+    /// Stated interval; absent for `open` and `dark`.
+    pub interval_nm: Option<[f64; 2]>,
+    /// Camera that photographs this band; absent for `open` and `dark`.
+    pub camera: Option<String>,
+    /// Glasses in the beam, in order; empty = no glass.
+    #[serde(default)]
+    pub glasses: Vec<Glass>,
+}
+
+/// One glass of a stack.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Glass {
+    /// Catalogue name.
+    pub glass: String,
+    /// Thickness.
+    pub thickness_mm: f64,
+}
+
+/// The shutter.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Shutter {
+    /// Driver name (`thorlabs-sc10`).
+    pub driver: String,
+    /// Serial port path, or `sim:shutter`.
+    pub port: String,
+    /// Blade travel and settling, waited after each change.
+    pub settle_s: f64,
+}
+
+/// One camera.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Camera {
+    /// Driver name (`sim-ccd`, `sim-ingaas`; `v4l2` and `aravis` later).
+    pub driver: String,
+    /// Device path or address, or `sim:ccd`.
+    pub port: String,
+    /// Serial number the camera must report.
+    pub serial: String,
+    /// Columns.
+    pub width_px: usize,
+    /// Rows.
+    pub height_px: usize,
+    /// Pixel format.
+    pub format: PixelFormat,
+    /// Gain, fixed.
+    pub gain: f64,
+    /// Shortest exposure.
+    pub shortest_s: f64,
+    /// Longest exposure.
+    pub longest_s: f64,
+    /// Read-out time of one frame.
+    pub readout_s: f64,
+    /// Shortest time from frame to frame.
+    pub frame_interval_s: f64,
+    /// Frames thrown away after a change of settings or bench.
+    pub discard_frames: u32,
+    /// Calibration file of this camera, relative to the instrument file.
+    pub calibration: PathBuf,
+}
+
+/// Mirror and port.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Optics {
+    /// Numerical eccentricity e of the hemi-ellipsoid, f/a.
+    pub eccentricity: f64,
+    /// Half axis a.
+    pub half_axis_mm: f64,
+    /// Spectral reflectance of the mirror, CSV, first value column used.
+    pub mirror_reflectance: PathBuf,
+    /// Half angle of the lamp's beam at the sample: the smallest peak the instrument can show.
+    pub beam_half_angle_deg: f64,
+    /// Standard uncertainty of emergent directions.
+    pub direction_uncertainty_deg: f64,
+}
+
+/// Known diffusers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct References {
+    /// Reflecting standard.
+    pub reflection: Option<Reference>,
+    /// Transmitting standard.
+    pub transmission: Option<Reference>,
+}
+
+/// A Lambertian standard: BSDF = value / pi.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Reference {
+    /// Name and serial number for the report.
+    pub name: String,
+    /// Spectral hemispherical reflectance or transmittance, CSV.
+    pub spectrum: PathBuf,
+    /// Incidence angle at which it is photographed.
+    pub theta_deg: f64,
+    /// Relative standard uncertainty of its value.
+    pub relative_uncertainty: f64,
+}
+
+/// The ordered list that makes the bench safe; all are tried even if one fails.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SafeState {
+    /// Device names in order: `shutter`, `tilt`, `spin`, `changer`, `filter_wheel`, `cameras`.
+    pub order: Vec<String>,
+    /// Limit for each.
+    pub limit_s: f64,
+}

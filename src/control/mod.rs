@@ -1,0 +1,3 @@
+//! What happens in the night: plan, sequencer, devices, frames.
+
+pub mod plan;

@@ -1,0 +1,3 @@
+//! From radiance to BSDF: what was measured, how sure, over which patches.
+
+pub mod set;

@@ -1,0 +1,5 @@
+//! Where light goes: directions, angle bases and patches, fisheye, hemi-ellipsoid map.
+
+pub mod basis;
+pub mod direction;
+pub mod side;

@@ -1,0 +1,18 @@
+//! goniod runs a video-goniophotometer through the night and gives back, in the morning, the BSDF of a window, blind
+//! or film with its uncertainty.
+//!
+//! ```text
+//! scan.toml + instrument.toml + calibration                                        config/
+//!    -> plan -> sequencer -> devices -> drivers -> (wire) -> hardware or sim       control/
+//!                               |
+//!    frame -> guard -> archive (fsync, journal) -> radiometry -> BSDF -> export, report
+//!                      archive/                    engine/               products/
+//! ```
+//!
+//! - [`config`]: what people write becomes checked values
+//! - [`control`]: what happens in the night
+//! - [`engine`]: what the pictures mean
+
+pub mod config;
+pub mod control;
+pub mod engine;
