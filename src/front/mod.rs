@@ -1,0 +1,3 @@
+//! What people touch: the command line.
+
+pub mod cli;

@@ -1,0 +1,17 @@
+#!/usr/bin/env bash
+# Runs formatting, lints and every test of the workspace, then prints the sum over all test programs as its last line.
+set -uo pipefail
+cd "$(dirname "$0")/.."
+
+log=$(mktemp)
+trap 'rm -f "$log"' EXIT
+
+cargo fmt --all -- --check && cargo clippy --workspace --all-targets --quiet -- -D warnings
+lints=$?
+[ $lints = 0 ] || echo "run.sh: formatting or lints failed"
+
+cargo test --workspace --no-fail-fast -- "$@" 2>&1 | tee "$log"
+tests=${PIPESTATUS[0]}
+
+awk '/^test result:/ { p += $4; f += $6; s += $8 } END { printf "%d passed, %d failed, %d skipped\n", p, f, s }' "$log"
+[ "$tests" = 0 ] && [ "$lints" = 0 ]
