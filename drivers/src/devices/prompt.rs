@@ -46,12 +46,12 @@ impl PromptWire {
 
     /// Makes sure that a synchronised link is there, connecting anew when the old one is dead.
     pub(super) async fn ensure(&mut self) -> Result<()> {
+        self.unsolicited = 0;
         if self.link.is_some() && self.synchronise().await.is_ok() {
             return Ok(());
         }
         let connected = self.connector.connect().await;
         self.link = Some(connected.map_err(|e| self.error(e.kind, e.message))?);
-        self.unsolicited = 0;
         self.synchronise().await
     }
 

@@ -19,6 +19,8 @@ pub const BAUD: u32 = 115_200;
 const MOVE_LIMIT: Duration = Duration::from_secs(10);
 /// A prompt may come before arrival: how long, and how often, the place is asked for then.
 const ARRIVAL_LIMIT: Duration = Duration::from_secs(4);
+/// A wheel seen on its way may still be half a place short when it tells the place: one slow place more.
+const LAST_PLACE: Duration = Duration::from_secs(2);
 /// Pause between those questions.
 const ARRIVAL_POLL: Duration = Duration::from_millis(200);
 /// Times that a place is commanded before it is a fault.
@@ -60,14 +62,21 @@ impl Fw212c {
         Ok(text.parse().ok().filter(|place| (1..=self.config.places).contains(place)))
     }
 
-    /// Asks for the place until it is `place` or the limit passes.
+    /// Asks for the place until it is `place` or the limit passes. A wheel that was seen elsewhere meanwhile turns, so it
+    /// is given time to finish and asked once more.
     async fn arrived(&mut self, place: u8) -> Result<Option<u8>> {
         let deadline = self.wire.clock.now() + ARRIVAL_LIMIT;
+        let mut turning = false;
         loop {
             let now = self.read_place().await?;
+            if now == Some(place) && turning {
+                self.wire.clock.sleep(LAST_PLACE).await;
+                return self.read_place().await;
+            }
             if now == Some(place) || self.wire.clock.now() > deadline {
                 return Ok(now);
             }
+            turning = true;
             self.wire.clock.sleep(ARRIVAL_POLL).await;
         }
     }

@@ -443,8 +443,8 @@ impl RotaryAxis for ZaberAxis {
     async fn position(&mut self) -> Result<Option<Degrees>> {
         let scale = self.scale()?;
         self.check_uptime().await?;
-        let steps = self.read_microsteps().await?;
         let void = self.warnings().await?.iter().any(Warning::voids_position);
+        let steps = self.read_microsteps().await?;
         Ok((!void).then(|| scale.degrees(steps)))
     }
 

@@ -2,7 +2,7 @@
 
 use super::{Bench, bench, bench_of};
 use goniod_drivers::clock::Clock;
-use goniod_drivers::contract::{Device, RotaryAxis};
+use goniod_drivers::contract::RotaryAxis;
 use goniod_drivers::error::ErrorKind;
 use goniod_drivers::transport::Connector;
 use goniod_drivers::units::Degrees;
@@ -40,7 +40,7 @@ async fn the_twin_speaks_the_worked_exchange() {
         line.map(|l| String::from_utf8(l).unwrap())
     };
     assert_eq!(say("/1 1 04 get pos:29").await, None, "a wrong checksum is met with silence");
-    assert_eq!(say("/1 0 00 set comm.checksum 1").await.unwrap(), "@01 0 00 OK IDLE WR 0:BA");
+    assert_eq!(say("/1 0 00 set comm.checksum 1").await.unwrap(), "@01 0 00 OK IDLE WR 0:BE");
     assert_eq!(say("/1 0 00 get device.id:14").await.unwrap(), "@01 0 00 OK IDLE WR 50081:F0");
     assert_eq!(say("/1 0 02 get version:77").await.unwrap(), "@01 0 02 OK IDLE WR 7.38:1C");
     assert_eq!(say("/1 1 03 get limit.cycle.dist:3C").await.unwrap(), "@01 1 03 OK IDLE WR 1536000:8B");
@@ -180,7 +180,9 @@ async fn a_lost_reply_to_home_is_not_repeated_blindly() {
     let mut bench = bench();
     bench.axes[0].open().await.unwrap();
     // uptime and warnings pass, the reply to `home` is lost
-    [WireFault::Pass, WireFault::Pass, WireFault::NoReply].map(|f| inject(&bench, ZaberFault::Wire(f)));
+    [WireFault::Pass, WireFault::Pass, WireFault::NoReply]
+        .into_iter()
+        .for_each(|f| inject(&bench, ZaberFault::Wire(f)));
     bench.axes[0].home().await.unwrap();
     assert!(tilt(&bench).abs() < 1e-6);
     bench.axes[0].move_to(Degrees(5.0)).await.unwrap();

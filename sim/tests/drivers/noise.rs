@@ -48,9 +48,11 @@ proptest! {
                 if let Ok(said) = said {
                     assert!((said.0 - truth).abs() < 0.001 && (truth - target).abs() < 0.01, "{said} {truth} {target}");
                 }
+                // a move whose answer was lost may still go on: what is said then is late by its exchange
+                tokio::time::sleep(Duration::from_secs(20)).await;
                 if let Ok(Some(said)) = bench.axes[0].position().await {
                     let truth = bench.twins.pose(Instant::now()).tilt_deg;
-                    assert!((said.0 - truth).abs() < 0.5, "position {said} {truth}");
+                    assert!((said.0 - truth).abs() < 0.001, "position {said} {truth}");
                 }
             }
         });
