@@ -87,6 +87,29 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn a_serial_line_carries_bytes_both_ways_and_its_end_is_a_lost_link() {
+        use std::os::fd::AsRawFd;
+        use std::time::Duration;
+        use tokio::io::{AsyncReadExt, AsyncWriteExt};
+
+        let (mut device, slave) = tokio_serial::SerialStream::pair().unwrap();
+        let path = std::fs::read_link(format!("/proc/self/fd/{}", slave.as_raw_fd())).unwrap();
+        drop(slave);
+        let clock = Clock::system();
+        let mut connector = SerialConnector::new(path.display().to_string(), 115_200, clock);
+        let mut link = connector.connect().await.unwrap();
+        link.send(b"/1 1 06:F8\n").await.unwrap();
+        let mut request = [0_u8; 11];
+        clock.timeout(Duration::from_secs(5), device.read_exact(&mut request)).await.unwrap().unwrap();
+        assert_eq!(&request, b"/1 1 06:F8\n");
+        device.write_all(b"@01 1 06 OK IDLE -- 0:06\r\n").await.unwrap();
+        let line = link.line(clock.now() + Duration::from_secs(5)).await.unwrap().unwrap();
+        assert_eq!(line, b"@01 1 06 OK IDLE -- 0:06");
+        drop(device);
+        assert_eq!(link.line(clock.now() + Duration::from_secs(5)).await.unwrap_err().kind, ErrorKind::Lost);
+    }
+
+    #[tokio::test]
     async fn a_file_that_is_no_serial_port_is_named_so() {
         let mut connector = SerialConnector::new("/dev/null", 9600, Clock::system());
         let error = connector.connect().await.err().unwrap();
