@@ -11,6 +11,9 @@
 
 pub mod clock;
 pub mod contract;
+pub mod devices;
 pub mod error;
 pub mod frame;
+pub mod table;
+pub mod transport;
 pub mod units;

@@ -1,4 +1,7 @@
 //! goniod-sim: the bench in software. Optics of its own (never the engine's), firmware twins that answer the devices'
 //! bytes, cameras that photograph the true state and paint it into reserved rows, an oracle that reads it back.
 
+pub mod firmware;
+pub mod front;
 pub mod pose;
+pub mod twins;
