@@ -58,7 +58,21 @@ impl Bench {
         poses: Arc<dyn PoseSource>,
         clock: Clock,
     ) -> Result<Bench> {
-        let file = BenchFile::read(bench_toml)?;
+        Bench::assemble(BenchFile::read(bench_toml)?, bench_toml, sample_toml, seed, poses, clock)
+    }
+
+    /// The same from a description at hand (a test that switches noise off); paths in it are relative to `bench_toml`.
+    ///
+    /// # Errors
+    /// As [`Bench::open`].
+    pub fn assemble(
+        file: BenchFile,
+        bench_toml: &Path,
+        sample_toml: &Path,
+        seed: u64,
+        poses: Arc<dyn PoseSource>,
+        clock: Clock,
+    ) -> Result<Bench> {
         let lamp = Arc::new(LampDraw::new(&file.lamp, seed));
         let stage = Arc::new(Stage::new(file, bench_toml, Sample::read(sample_toml)?, seed)?);
         let mut cameras = BTreeMap::new();
@@ -110,6 +124,12 @@ impl Bench {
     /// The lamp's slow factor `seconds` after opening.
     pub fn lamp_factor(&self, seconds: f64) -> f64 {
         self.surroundings.lamp.slow(seconds)
+    }
+
+    /// The clock the bench lives by.
+    #[cfg(test)]
+    pub fn surroundings_clock(&self) -> Clock {
+        self.surroundings.clock
     }
 
     fn seat(&self, name: &str) -> Result<&Seat> {

@@ -382,3 +382,7 @@ impl Camera for SimCamera {
         Ok(())
     }
 }
+
+#[cfg(test)]
+#[path = "camera_tests.rs"]
+mod tests;

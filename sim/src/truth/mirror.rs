@@ -131,7 +131,7 @@ impl Collector {
         let scale = 1.0 / (1.0 - big * u.x);
         let root = (1.0 - big * big).sqrt();
         let v = V3::new((u.x - big) * scale, u.y * root * scale, u.z * root * scale);
-        let rho = v.z.clamp(-1.0, 1.0).acos() / self.rad_per_px;
+        let rho = v.x.hypot(v.y).atan2(v.z) / self.rad_per_px;
         let phi = v.y.atan2(v.x) - self.roll;
         (self.lens.centre_x_px + rho * phi.cos(), self.lens.centre_y_px - rho * phi.sin())
     }

@@ -71,7 +71,8 @@ fn photographs_of_every_shipped_sample_integrate_to_its_hemispherical_value() {
         ("rough_glass", 2e-3),
         ("lambspec_tree", 4e-3),
         ("coloured_diffuser", 1e-3),
-        ("clear_glazing", 4e-3),
+        // The lamp's disc is smaller than a pixel, so this quadrature (not the picture) is coarse.
+        ("clear_glazing", 2e-2),
     ];
     for (name, tolerance) in cases {
         let sample = Sample::read(&path(&format!("samples/{name}.toml"))).unwrap();
@@ -87,6 +88,12 @@ fn photographs_of_every_shipped_sample_integrate_to_its_hemispherical_value() {
     }
 }
 
+/// Transmittance of a sample in the middle of band f5.
+fn mean_of(name: &str, theta: f64, phi: f64) -> f64 {
+    let sample = Sample::read(&path(&format!("samples/{name}.toml"))).unwrap();
+    sample.hemispherical(Side::TransmissionFront, theta, phi).at(590.0)
+}
+
 #[test]
 fn the_ccd_sees_the_same_totals() {
     for (name, side, theta, phi, wanted) in [
@@ -94,6 +101,8 @@ fn the_ccd_sees_the_same_totals() {
         ("lambertian_t20", Side::ReflectionFront, 45.0, 10.0, 0.3),
         ("prism42", Side::TransmissionFront, 30.0, 180.0, 0.948),
         ("lambspec_tree", Side::TransmissionBack, 50.0, 200.0, 0.7),
+        ("clear_glazing", Side::TransmissionFront, 40.0, 200.0, mean_of("clear_glazing", 40.0, 200.0)),
+        ("clear_glazing", Side::TransmissionFront, 65.0, 330.0, mean_of("clear_glazing", 65.0, 330.0)),
     ] {
         let camera = photographer(plain(), name, "ccd");
         let seen = integral(&camera, &plain(), pose(side, theta, phi), 5);
@@ -171,7 +180,7 @@ fn noise_is_shot_and_read_noise_in_electrons() {
     let mut bench = file(false);
     bench.deviation.vignetting = 0.0;
     let camera = photographer(bench, "lambertian_t20", "ingaas");
-    let exposure = still(180.0, 0.0, 0.0, 9, 0.05);
+    let exposure = still(180.0, 0.0, 0.0, 9, 0.2);
     let x = camera.exposures(&exposure);
     let (a, b) = (camera.photograph(&exposure, 1, None), camera.photograph(&exposure, 2, None));
     assert_ne!(a, b);
@@ -230,7 +239,7 @@ fn a_shutter_that_closes_in_mid_exposure_halves_it() {
     }
 }
 
-/// Prints nothing; run with `--nocapture` under a profiler. Checks the level of light the bench is set to.
+/// The level of light the bench is set to.
 #[test]
 fn a_grey_sample_reads_one_after_about_a_second_in_f5_green() {
     let camera = photographer(plain(), "lambertian_t20", "ccd");
@@ -241,4 +250,38 @@ fn a_grey_sample_reads_one_after_about_a_second_in_f5_green() {
     let nir = photographer(plain(), "lambertian_t20", "ingaas").exposures(&still(180.0, 0.0, 0.0, 9, 0.1));
     let nir = nir[135 * 320 + 160];
     assert!((0.2..5.0).contains(&nir), "{nir}");
+    assert!(green > 0.0, "{green} {nir}");
+}
+
+#[test]
+#[ignore = "a measurement of cost, run by hand: cargo test -p goniod-sim --lib cost -- --ignored --nocapture"]
+#[allow(clippy::print_stdout)]
+fn cost_of_a_frame() {
+    for (name, camera) in [
+        ("lambertian_t20", "ccd"),
+        ("prism42", "ccd"),
+        ("lambspec_tree", "ccd"),
+        ("rough_glass", "ccd"),
+        ("clear_glazing", "ccd"),
+        ("prism42", "ingaas"),
+    ] {
+        let bench = file(false);
+        let slot = if camera == "ccd" { 5 } else { 9 };
+        let photographer = photographer(bench, name, camera);
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+        pool.install(|| {
+            let start = std::time::Instant::now();
+            photographer.raster();
+            let raster = start.elapsed();
+            let start = std::time::Instant::now();
+            let mut pixels = photographer.photograph(&still(150.0, 20.0, 0.0, slot, 1.0), 0, None);
+            let first = start.elapsed();
+            let start = std::time::Instant::now();
+            for frame in 1..9 {
+                pixels = photographer.photograph(&still(150.0, 20.0, 0.0, slot, 1.0), frame, Some(pixels));
+            }
+            let each = start.elapsed() / 8;
+            println!("{name} {camera}: tracing {raster:.1?}, first of a pose {first:.1?}, then {each:.1?} a frame");
+        });
+    }
 }

@@ -141,16 +141,18 @@ mod tests {
         }
     }
 
-    /// f(1) = 0.3 exactly with c'; level 0 below x = 0.0521; saturation at 10.098.
+    /// f(1) = 0.3 exactly with c'; black end and saturation of the printed curve (x = 0.0521 and 10.098) times c'/c.
     #[test]
     fn the_ccd_curve_has_its_known_points() {
         let file = test_bench::file(true);
         let sensor = Sensor::new(&file.camera["ccd"], CameraDraw::new(&file.deviation, 1, "ccd"), true);
         assert!((sensor.ndl(1.0) - 0.3).abs() < 1e-7, "{}", sensor.ndl(1.0));
-        assert_eq!(sensor.level(0.0520), 0);
-        assert_eq!(sensor.level(0.0560), 1);
-        assert_eq!(sensor.level(10.0), 254);
-        assert_eq!(sensor.level(10.11), 255);
+        let shift = 1.5177818 / 1.4468;
+        assert!(sensor.ndl(0.0520 * shift) < 0.0 && sensor.ndl(0.0522 * shift) > 0.0);
+        assert_eq!(sensor.level(0.0557 * shift), 0);
+        assert_eq!(sensor.level(0.0561 * shift), 1);
+        assert_eq!(sensor.level(10.08 * shift), 254);
+        assert_eq!(sensor.level(10.11 * shift), 255);
         assert_eq!(sensor.level(1e4), 255);
     }
 }
