@@ -215,3 +215,85 @@ fn read_block(
     }
     Ok((side, Block::Matrix(Matrix { rows, columns, values })))
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+    use crate::truth::vector::V3;
+
+    /// An XML with one ring of 1 and one of 4 patches, or a tree, in one block.
+    fn table(structure: &str, direction: &str, data: &str) -> Result<ScatterTable> {
+        let ring = |low: f64, high: f64, n: usize| {
+            format!(
+                "<AngleBasisBlock><Theta>0</Theta><nPhis>{n}</nPhis><ThetaBounds><LowerTheta>{low}</LowerTheta>\
+                 <UpperTheta>{high}</UpperTheta></ThetaBounds></AngleBasisBlock>"
+            )
+        };
+        let text = format!(
+            "<WindowElement xmlns=\"http://windows.lbl.gov\"><Layer><DataDefinition>\
+             <IncidentDataStructure>{structure}</IncidentDataStructure><AngleBasis><AngleBasisName>Small</AngleBasisName>\
+             {}{}</AngleBasis></DataDefinition><WavelengthData><Wavelength unit=\"Integral\">Visible</Wavelength>\
+             <WavelengthDataBlock><WavelengthDataDirection>{direction}</WavelengthDataDirection>\
+             <ColumnAngleBasis>Small</ColumnAngleBasis><RowAngleBasis>Small</RowAngleBasis>\
+             <ScatteringData>{data}</ScatteringData></WavelengthDataBlock></WavelengthData></Layer></WindowElement>",
+            ring(0.0, 30.0, 1),
+            ring(30.0, 90.0, 4)
+        );
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("t.xml");
+        std::fs::write(&path, text).unwrap();
+        ScatterTable::read(&path)
+    }
+
+    fn at(table: &ScatterTable, side: Side, s: V3, u: V3) -> f64 {
+        table.lookup(side, [-s.x, -s.y]).map_or(0.0, |l| l.at([u.x, u.y]))
+    }
+
+    /// Entry at incident (60, 90), outgoing (60, 0): light travels up, so the source is below, at azimuth 270; only
+    /// that source and that direction answer. Read backwards it is light from (60, 0) on the interior going to where
+    /// the source was.
+    #[test]
+    fn a_single_entry_answers_to_one_pair_of_directions_and_its_reverse() {
+        let mut values = vec!["0.0"; 25];
+        values[5 + 2] = "3.5"; // row 1 = (60, 0), column 2 = (60, 90)
+        let table = table("Columns", "Transmission Front", &values.join(", ")).unwrap();
+        assert_eq!(table.sides(), [Side::TransmissionFront, Side::TransmissionBack]);
+        let angle = |theta: f64, phi: f64| V3::polar(f64::to_radians(theta), f64::to_radians(phi));
+        let (source, out) = (angle(120.0, 270.0), angle(60.0, 0.0));
+        assert_eq!(at(&table, Side::TransmissionFront, source, out), 3.5);
+        for phi in [0.0, 90.0, 180.0] {
+            assert_eq!(at(&table, Side::TransmissionFront, angle(120.0, phi), out), 0.0);
+            assert_eq!(at(&table, Side::TransmissionFront, source, angle(60.0, phi + 90.0)), 0.0);
+        }
+        assert_eq!(at(&table, Side::TransmissionBack, out, source), 3.5);
+        assert_eq!(at(&table, Side::TransmissionBack, angle(60.0, 180.0), source), 0.0);
+        assert_eq!(at(&table, Side::ReflectionFront, source, angle(120.0, 0.0)), 0.0);
+    }
+
+    /// Rank 3: the peak follows the azimuth of the light.
+    #[test]
+    fn an_isotropic_tree_turns_with_the_light() {
+        // d0 lower half only; of (d1, d2) the cell of large x (d1 upper) and upper y (d2 upper).
+        let table = table("TensorTree3", "Reflection Front", "{ 0 0 0 7 0 0 0 0 }").unwrap();
+        for source in [10.0f64, 77.0, 200.0, 305.0] {
+            let s = V3::polar(f64::to_radians(130.0), source.to_radians());
+            let travel = source + 180.0;
+            let seen = |turn: f64| {
+                let u = V3::polar(f64::to_radians(140.0), (travel + turn).to_radians());
+                at(&table, Side::ReflectionFront, s, u)
+            };
+            assert_eq!([seen(45.0), seen(-45.0), seen(135.0), seen(225.0)], [7.0, 0.0, 0.0, 0.0], "{source}");
+        }
+    }
+
+    #[test]
+    fn wrong_files_say_what_is_wrong() {
+        let few = table("Columns", "Transmission Front", "1 2 3").unwrap_err().to_string();
+        assert!(few.contains("3 numbers, 5 x 5 are needed"), "{few}");
+        let rows = table("Rows", "Transmission Front", "").unwrap_err().to_string();
+        assert!(rows.contains("`Rows`; Columns, TensorTree3 and TensorTree4"), "{rows}");
+        let word = table("Columns", "Sideways", "").unwrap_err().to_string();
+        assert!(word.contains("`Sideways` is none of the four"), "{word}");
+    }
+}

@@ -340,3 +340,28 @@ fn within(path: &Path, key: &str, value: f64, low: f64, high: f64) -> Result<()>
     }
     Err(SimError::format(path, format!("{key} = {value} is out of range; {low} to {high} is allowed")))
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+    use crate::truth::test_bench;
+
+    fn read(change: impl Fn(String) -> String) -> Result<BenchFile> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("bench.toml");
+        std::fs::write(&path, change(std::fs::read_to_string(test_bench::path("bench.toml")).unwrap())).unwrap();
+        BenchFile::read(&path)
+    }
+
+    #[test]
+    fn wrong_keys_and_values_are_named() {
+        assert!(read(|t| t).is_ok());
+        let unknown = read(|t| t.replace("tolerance_deg", "tolerance_grad")).unwrap_err().to_string();
+        assert!(unknown.contains("tolerance_grad") && unknown.contains("bench.toml"), "{unknown}");
+        let flat = read(|t| t.replace("eccentricity = 0.3", "eccentricity = 1.3")).unwrap_err().to_string();
+        assert!(flat.contains("mirror.shape.eccentricity = 1.3 is out of range; 0 to 0.8"), "{flat}");
+        let slot = read(|t| t.replace("[wheel.slot.12]", "[wheel.slot.last]")).unwrap_err().to_string();
+        assert!(slot.contains("wheel.slot.last"), "{slot}");
+    }
+}

@@ -101,3 +101,40 @@ impl LampDraw {
         self.slow(seconds) * (1.0 + self.flicker * self.key.named(camera).named("flicker").normal(frame))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+    use crate::truth::test_bench;
+
+    #[test]
+    fn the_lamp_starts_at_one_and_drifts_slowly_and_steadily() {
+        let file = test_bench::file(false);
+        let lamp = LampDraw::new(&file.lamp, 5);
+        assert_eq!(lamp.slow(0.0), 1.0);
+        let mut largest: f64 = 0.0;
+        for minute in 0..840 {
+            let (a, b) = (lamp.slow(60.0 * f64::from(minute)), lamp.slow(60.0 * f64::from(minute + 1)));
+            // Sine slope 0.004/h and a walk of 0.002/sqrt(h) in knots of 10 minutes, five sigma.
+            assert!((a - b).abs() < 0.004 / 60.0 + 5.0 * 0.002 * (1.0f64 / 6.0).sqrt() / 10.0, "{minute}");
+            largest = largest.max((a - 1.0).abs());
+        }
+        assert!((1e-3..0.05).contains(&largest), "{largest}");
+        let ideal = LampDraw::new(&test_bench::file(true).lamp, 5);
+        assert_eq!(ideal.exposure(30_000.0, "ccd", 7), 1.0);
+    }
+
+    #[test]
+    fn an_ideal_bench_is_built_to_plan() {
+        let file = test_bench::file(true);
+        assert_eq!(reference_factors(&file, 9), [1.0, 1.0]);
+        let draw = CameraDraw::new(&file.deviation, 9, "ccd");
+        assert_eq!(
+            (draw.responsivity, draw.response_residual(0.4), draw.vignetting_residual(0.3, 0.2)),
+            (1.0, 0.0, 1.0)
+        );
+        let real = test_bench::file(false);
+        assert_ne!(CameraDraw::new(&real.deviation, 9, "ccd"), CameraDraw::new(&real.deviation, 10, "ccd"));
+    }
+}

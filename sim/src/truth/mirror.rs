@@ -27,6 +27,8 @@ pub struct Collector {
     lens: FisheyeFile,
     rad_per_px: f64,
     roll: f64,
+    roll_sin_cos: (f64, f64),
+    pointing: [(f64, f64); 2],
     sample_radius_mm: f64,
     draw: CameraDraw,
 }
@@ -52,6 +54,8 @@ impl Collector {
             f: a * e,
             rad_per_px: lens.deg_per_px.to_radians(),
             roll: lens.roll_deg.to_radians(),
+            roll_sin_cos: lens.roll_deg.to_radians().sin_cos(),
+            pointing: draw.pointing_rad.map(f64::sin_cos),
             lens: lens.clone(),
             sample_radius_mm,
             draw,
@@ -68,13 +72,13 @@ impl Collector {
         }
         let v = if rho > 0.0 {
             let (st, ct) = theta.sin_cos();
-            let (sr, cr) = self.roll.sin_cos();
+            let (sr, cr) = self.roll_sin_cos;
             let (cx, cy) = (x / rho, y / rho);
             V3::new(st * (cx * cr - cy * sr), st * (cy * cr + cx * sr), ct)
         } else {
             V3::new(0.0, 0.0, 1.0)
         };
-        let v = v.tilted(self.draw.pointing_rad[0], self.draw.pointing_rad[1]);
+        let v = v.tilted(self.pointing[0], self.pointing[1]);
         (v.z > 0.0).then_some((theta, v))
     }
 

@@ -151,3 +151,33 @@ impl ComponentFile {
         Ok(Component { sides: self.sides.clone(), spectrum: self.spectrum.load(path, Outside::Refuse)?, law })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+
+    fn read(text: &str) -> String {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("s.toml");
+        std::fs::write(&path, text).unwrap();
+        Sample::read(&path).map_or_else(|e| e.to_string(), |s| s.name)
+    }
+
+    #[test]
+    fn a_sample_that_makes_light_or_has_unknown_words_is_refused() {
+        let lambertian = |sides: &str, value: f64, more: &str| {
+            format!("[[component]]\nsides = {sides}\nspectrum = {{ constant = {value} }}\nlaw = {more}\n")
+        };
+        let plain = "{ kind = \"lambertian\" }";
+        let good = format!("name = \"g\"\n{}", lambertian("[\"tf\"]", 0.7, plain));
+        assert_eq!(read(&good), "g");
+        let much = format!("{good}{}", lambertian("[\"rf\"]", 0.6, plain));
+        assert!(read(&much).contains("T + R = 1.300"), "{}", read(&much));
+        assert!(read(&good.replace("tf", "xx")).contains("unknown variant `xx`"));
+        assert!(read(&good.replace("constant", "konstant")).contains("konstant"));
+        let narrow = good.replace(plain, "{ kind = \"rough\", width = 0.001 }");
+        assert!(read(&narrow).contains("0.02 to 1 is allowed"), "{}", read(&narrow));
+        assert!(read("name = \"e\"\ncomponent = []").contains("at least one"));
+    }
+}

@@ -71,9 +71,8 @@ impl V3 {
         if n > 0.0 { self * (1.0 / n) } else { self }
     }
 
-    /// Turned by small rotations: about x by `ax`, then about y by `ay` (radians).
-    pub fn tilted(self, ax: f64, ay: f64) -> V3 {
-        let ((sx, cx), (sy, cy)) = (ax.sin_cos(), ay.sin_cos());
+    /// Turned about x, then about y, by angles told as (sine, cosine).
+    pub fn tilted(self, (sx, cx): (f64, f64), (sy, cy): (f64, f64)) -> V3 {
         let r = V3::new(self.x, cx * self.y - sx * self.z, sx * self.y + cx * self.z);
         V3::new(cy * r.x + sy * r.z, r.y, -sy * r.x + cy * r.z)
     }
