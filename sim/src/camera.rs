@@ -60,6 +60,13 @@ pub struct SimCamera {
     held: Option<CameraFault>,
 }
 
+/// What a rendering needs; runs off the runtime.
+struct Job {
+    shot: Shot,
+    name: String,
+    surroundings: Surroundings,
+}
+
 /// Frames of one camera that may live at once.
 const POOL: usize = 8;
 /// Longest wait for a free buffer.
@@ -240,13 +247,6 @@ impl SimCamera {
         };
         Ok(self.pool.frame(info, pixels, permit))
     }
-}
-
-/// What a rendering needs; runs off the runtime.
-struct Job {
-    shot: Shot,
-    name: String,
-    surroundings: Surroundings,
 }
 
 // === impl Job ===

@@ -70,7 +70,8 @@ impl Basis {
         }
         let n = ring.patches as f64;
         let turn = p[1].atan2(p[0]) / TAU * n + 0.5;
-        ring.first + (turn.rem_euclid(n) as usize).min(ring.patches - 1)
+        let turn = if turn < 0.0 { turn + n } else { turn };
+        ring.first + (turn as usize).min(ring.patches - 1)
     }
 
     /// Projected solid angle of patch `index`, sr.

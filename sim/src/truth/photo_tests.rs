@@ -250,7 +250,6 @@ fn a_grey_sample_reads_one_after_about_a_second_in_f5_green() {
     let nir = photographer(plain(), "lambertian_t20", "ingaas").exposures(&still(180.0, 0.0, 0.0, 9, 0.1));
     let nir = nir[135 * 320 + 160];
     assert!((0.2..5.0).contains(&nir), "{nir}");
-    assert!(green > 0.0, "{green} {nir}");
 }
 
 #[test]
@@ -276,12 +275,30 @@ fn cost_of_a_frame() {
             let start = std::time::Instant::now();
             let mut pixels = photographer.photograph(&still(150.0, 20.0, 0.0, slot, 1.0), 0, None);
             let first = start.elapsed();
-            let start = std::time::Instant::now();
+            let mut each = first;
             for frame in 1..9 {
+                let start = std::time::Instant::now();
                 pixels = photographer.photograph(&still(150.0, 20.0, 0.0, slot, 1.0), frame, Some(pixels));
+                each = each.min(start.elapsed());
             }
-            let each = start.elapsed() / 8;
-            println!("{name} {camera}: tracing {raster:.1?}, first of a pose {first:.1?}, then {each:.1?} a frame");
+            println!(
+                "{name} {camera}: tracing {raster:.1?}, first of a pose {first:.1?}, then {each:.1?} a frame at best"
+            );
         });
+    }
+}
+
+#[test]
+#[ignore = "a measurement of light levels, run by hand with --ignored --nocapture"]
+#[allow(clippy::print_stdout)]
+fn light_of_every_band() {
+    let (ccd, ingaas) =
+        (photographer(plain(), "lambertian_t20", "ccd"), photographer(plain(), "lambertian_t20", "ingaas"));
+    for slot in 1..=11 {
+        let camera = if slot < 9 { &ccd } else { &ingaas };
+        let per_second: Vec<f64> = (0..camera.responsivity.len())
+            .map(|c| camera.weight(slot, c).map_or(0.0, |w| w.integral()) * 75.0 * 0.2 / std::f64::consts::PI)
+            .collect();
+        println!("slot {slot}: x per second, T = 0.2 Lambertian, normal incidence: {per_second:.3?}");
     }
 }

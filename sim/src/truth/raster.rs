@@ -123,7 +123,7 @@ impl Raster {
                         return None;
                     }
                     let pitch = collector.pitch(self.direction(index)?);
-                    let fine = if pitch > 0.5f64.to_radians() { 8 } else { 4 };
+                    let fine = if pitch > 0.5f64.to_radians() { 6 } else { 4 };
                     Some((index, self.refine(collector, index, fine, g) as f32))
                 })
             })
