@@ -140,8 +140,8 @@ impl Disc {
     /// Points of a polar quadrature over the disc with their share of the hemispherical value.
     pub fn points(&self) -> Vec<(V3, f64)> {
         let (rings, around) = (60, 90);
-        let helper = if self.centre.x.abs() < 0.9 { V3::new(1.0, 0.0, 0.0) } else { V3::new(0.0, 1.0, 0.0) };
-        let e1 = self.centre.cross(helper).unit();
+        let aside = if self.centre.x.abs() < 0.9 { V3::new(1.0, 0.0, 0.0) } else { V3::new(0.0, 1.0, 0.0) };
+        let e1 = self.centre.cross(aside).unit();
         let e2 = self.centre.cross(e1);
         let mut points = Vec::with_capacity(rings * around);
         for i in 0..rings {

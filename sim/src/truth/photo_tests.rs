@@ -8,7 +8,7 @@ use super::photo::Photographer;
 use super::sample::Sample;
 use super::spectrum::Curve;
 use super::test_bench::{file, path, photographer, still};
-use super::vector::Side;
+use super::vector::{Side, V3};
 use goniod_drivers::frame::Pixels;
 
 /// An ideal bench with a plain lens: no vignetting, pupil at F2.
@@ -215,9 +215,34 @@ fn the_dark_slot_the_shutter_and_a_turning_wheel_give_no_light() {
     }
 }
 
-/// A flipped prism seen from outside by light from inside is the Transmission Back block.
+/// The brightest pixel looks where the sample's own law is brightest, told in the sample frame, on all four sides.
 #[test]
-fn the_references_and_the_turned_sample_stand_where_the_changer_says() {
+fn every_side_of_the_prism_lights_the_right_place_of_the_picture() {
+    let camera = photographer(plain(), "prism42", "ccd");
+    let sample = Sample::read(&path("samples/prism42.toml")).unwrap();
+    for side in Side::ALL {
+        let (tilt, spin, changer) = pose(side, 40.0, 250.0);
+        let x = camera.exposures(&still(tilt, spin, changer, 5, 0.1));
+        let red = |i: &usize| camera.channel(i / 1392, i % 1392) == 0;
+        let brightest = (0..x.len()).filter(red).max_by(|a, b| x[*a].total_cmp(&x[*b])).unwrap();
+        let u = camera.raster().direction(brightest).unwrap();
+        let u = if changer == 180.0 { u.turned() } else { u };
+        let source = side.source_vector(40.0, 250.0);
+        assert_eq!(Side::of(source, u), side);
+        let emission = sample.components[0].law.emission(side, source, 0.004).unwrap();
+        let mut most: f64 = 0.0;
+        for i in 0..90 {
+            for k in 0..180 {
+                let v = V3::polar(f64::from(i).to_radians(), f64::from(2 * k).to_radians());
+                most = most.max(emission.at(V3::new(v.x, v.y, side.emergent_sign() * v.z)));
+            }
+        }
+        assert!(emission.at(u) > 0.999 * most, "{side:?}: {} {most}", emission.at(u));
+    }
+}
+
+#[test]
+fn the_references_stand_where_the_changer_says() {
     let camera = photographer(plain(), "prism42", "ingaas");
     let opal = integral(&camera, &plain(), (180.0, 0.0, 270.0), 9);
     let white = integral(&camera, &plain(), (8.0, 0.0, 90.0), 9);
