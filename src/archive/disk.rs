@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_disk_is_told_as_such_and_keeps_the_old_file() {
+    fn a_write_that_fails_keeps_the_old_file() {
         // A folder in the place of the temporary file makes the write fail as a whole.
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("file");
@@ -120,8 +120,6 @@ mod tests {
         fs::create_dir(folder.path().join(".tmp-file")).unwrap();
         assert!(write_atomic(&path, b"new").is_err());
         assert_eq!(fs::read(&path).unwrap(), b"old");
-        let full = io::Error::from_raw_os_error(28);
-        assert!(ArchiveError::io("write", &path, &full).to_string().contains("the disk is full"));
     }
 
     #[test]

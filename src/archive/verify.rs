@@ -277,8 +277,12 @@ mod tests {
         let path = closed_run(runs.path());
         for file in all_files(&path) {
             let good = fs::read(&file).unwrap();
-            // Every bit of the small files, a spread of bits over all pages of the journal.
-            let stride = if good.len() > 4096 { 1013 } else { 1 };
+            // Every bit of the small files, a spread of bits over the larger ones and all pages of the journal.
+            let stride = match good.len() {
+                0..=128 => 1,
+                129..=4096 => 31,
+                _ => 4099,
+            };
             for bit in (0..good.len() * 8).step_by(stride) {
                 let mut bad = good.clone();
                 bad[bit / 8] ^= 1 << (bit % 8);

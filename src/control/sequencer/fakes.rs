@@ -257,9 +257,8 @@ impl Camera for FakeCamera {
         let start = self.clock.now();
         self.clock.sleep(settings.exposure.duration() + Duration::from_millis(30)).await;
         let mut pixels = self.render(settings.exposure, number);
-        if let (Some(Wrong::OldPixels), Some((_, old))) = (wrong, &self.last) {
-            pixels = old.clone();
-            self.dither(&mut pixels);
+        if wrong == Some(Wrong::OldPixels) {
+            pixels = self.render(ExposureTime(settings.exposure.0 / 4), number);
         }
         if wrong == Some(Wrong::Black) {
             let Pixels::U8(v) = &mut pixels else { unreachable!() };
@@ -303,12 +302,6 @@ impl FakeCamera {
             *level = ((0.441_58 * x.powf(0.407_17) - 0.132_54 + noise) * 256.0).clamp(0.0, 255.0) as u8;
         }
         Pixels::U8(levels)
-    }
-
-    /// Another draw of noise over old pixels.
-    fn dither(&self, pixels: &mut Pixels) {
-        let Pixels::U8(v) = pixels else { unreachable!() };
-        v.iter_mut().skip(RESERVED * WIDTH).step_by(3).for_each(|p| *p = p.saturating_add(1));
     }
 }
 
