@@ -1,0 +1,1 @@
+//! Spectra: curves, filter stacks, kernels, combination of bands.
