@@ -151,7 +151,8 @@ impl PixelMap {
         }
         for (f, lambda) in map.in_frame.iter_mut().zip(spec.basis.projected_solid_angles()) {
             *f = (*f / lambda).min(1.0);
-            if *f > 0.998 {
+            // sub-sampling knows a patch of a few pixels to a percent only
+            if *f > 0.98 {
                 *f = 1.0;
             }
         }
@@ -266,13 +267,13 @@ impl PixelMap {
     }
 }
 
-/// 1/VC of every pixel; 1 outside the hemisphere.
+/// 1/VC of every pixel; outside the hemisphere that of its rim.
 fn gain(spec: &PixelMapSpec) -> Result<Vec<f64>, EngineError> {
     let mut gain = Vec::with_capacity(spec.width * spec.height);
     for row in 0..spec.height {
         for column in 0..spec.width {
             let t = spec.fisheye.zenith_deg(column as f64, row as f64) / 90.0;
-            let vc = if t > 1.01 { 1.0 } else { vignetting(&spec.vignetting, t) };
+            let vc = vignetting(&spec.vignetting, t.min(1.0));
             if vc <= 0.0 || !vc.is_finite() {
                 let allowed = "VC must stay positive over the hemisphere; check the coefficients";
                 return Err(EngineError::Parameter { name: "vignetting", value: vc, allowed });

@@ -301,3 +301,208 @@ impl Patch {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stderr)]
+    use super::*;
+    use crate::engine::optics::pixel_map::{Mosaic, tests as maps, vignetting};
+    use crate::engine::radiometry::dark::DarkMap;
+    use crate::engine::radiometry::levels::tests::{ccd, ingaas};
+    use crate::engine::radiometry::levels::{LevelTable, Radiometer};
+
+    const TIMES: [f64; 5] = [0.01, 0.04, 0.16, 0.64, 2.56];
+
+    /// Exposure x of a pixel that sees `rate` for `t`, with vignetting of the small test camera.
+    fn exposure(spec: &crate::engine::optics::pixel_map::PixelMapSpec, i: usize, rate: f64, t: f64) -> f64 {
+        let zenith = spec.fisheye.zenith_deg((i % spec.width) as f64, (i / spec.width) as f64);
+        rate * t * vignetting(&spec.vignetting, (zenith / 90.0).min(1.0))
+    }
+
+    /// Noisy levels: Gaussian shot and read noise from a small generator.
+    fn noisy(r: &Radiometer, x: f64, seed: &mut u64) -> u16 {
+        let mut uniform = || {
+            *seed = seed.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            ((*seed >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
+        };
+        let normal = (-2.0 * uniform().ln()).sqrt() * (std::f64::consts::TAU * uniform()).cos();
+        let e1 = r.noise.electrons_at_unit_exposure;
+        let e = x * e1 + normal * (x * e1 + r.noise.read_noise_e.powi(2)).sqrt();
+        let level = (f64::from(r.levels) * r.response.ndl((e / e1).max(0.0))).floor();
+        level.clamp(0.0, f64::from(r.levels - 1)) as u16
+    }
+
+    fn exposures<P>(frames: &[Vec<P>]) -> Vec<Exposure<'_, P>> {
+        TIMES.iter().zip(frames).map(|(&t_s, f)| Exposure { t_s, pixels: &f[..] }).collect()
+    }
+
+    #[test]
+    fn the_ideal_bench_is_exact() {
+        let spec = maps::small(Mosaic::BayerRggb);
+        let map = PixelMap::build(&spec).unwrap();
+        let table = LevelTable::of(ccd()).unwrap();
+        let f = ccd().response;
+        let dark = Dark { map: DarkMap::Constant(0.05), ..Dark::none() };
+        let frames: Vec<Vec<f64>> = TIMES
+            .iter()
+            .map(|t| (0..map.pixels()).map(|i| f.ndl(exposure(&spec, i, 7.0, *t) + 0.05 * t)).collect())
+            .collect();
+        let view = merge(&map, &table, &dark, &exposures(&frames)).unwrap();
+        assert_eq!(view.channels.len(), 3);
+        for p in view.channels.iter().flatten() {
+            assert!((p.rate / 7.0 - 1.0).abs() < 1e-9, "{}", p.rate);
+            assert!(p.coverage() > 0.999 && p.missing == 0.0 && p.u_floor == 0.0);
+            assert!(p.u_geometry[0].abs() < 1e-9, "a uniform field does not feel a shift");
+        }
+    }
+
+    /// Three decades of rate, 8 bit with noise: every patch within 4 standard uncertainties, all within 0.3 %.
+    #[test]
+    fn noisy_brackets_are_unbiased_over_the_range() {
+        let spec = maps::small(Mosaic::Mono);
+        let map = PixelMap::build(&spec).unwrap();
+        for radiometer in [ccd(), ingaas()] {
+            let table = LevelTable::of(radiometer).unwrap();
+            for rate in [0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0] {
+                let mut seed = 17;
+                let frames: Vec<Vec<u16>> = TIMES
+                    .iter()
+                    .map(|t| {
+                        (0..map.pixels()).map(|i| noisy(&radiometer, exposure(&spec, i, rate, *t), &mut seed)).collect()
+                    })
+                    .collect();
+                let view = merge(&map, &table, &Dark::none(), &exposures(&frames)).unwrap();
+                let (mut mean, mut n, mut chi2) = (0.0, 0.0, 0.0);
+                for p in &view.channels[0] {
+                    mean += p.rate;
+                    n += 1.0;
+                    chi2 += ((p.rate - rate) / p.u_random).powi(2);
+                }
+                let bias = mean / n / rate - 1.0;
+                assert!(bias.abs() < 3e-3, "{rate}/s: bias {bias:.2e}");
+                assert!(chi2 / n < 1.7 && chi2 / n > 0.5, "{rate}/s: chi2 {}", chi2 / n);
+            }
+        }
+    }
+
+    #[test]
+    fn any_number_of_threads_gives_the_same_bits() {
+        let spec = maps::small(Mosaic::BayerRggb);
+        let map = PixelMap::build(&spec).unwrap();
+        let table = LevelTable::of(ccd()).unwrap();
+        let mut seed = 5;
+        let frames: Vec<Vec<u8>> = TIMES
+            .iter()
+            .map(|t| {
+                (0..map.pixels())
+                    .map(|i| {
+                        let rate = 0.1 + (i % 97) as f64;
+                        u8::try_from(noisy(&ccd(), exposure(&spec, i, rate, *t), &mut seed)).unwrap()
+                    })
+                    .collect()
+            })
+            .collect();
+        let run = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| merge(&map, &table, &Dark::none(), &exposures(&frames)).unwrap())
+        };
+        let one = format!("{:?}", run(1));
+        assert_eq!(one, format!("{:?}", run(2)));
+        assert_eq!(one, format!("{:?}", run(5)));
+    }
+
+    #[test]
+    fn black_is_bounded_and_saturated_is_missing() {
+        let spec = maps::small(Mosaic::Mono);
+        let map = PixelMap::build(&spec).unwrap();
+        let table = LevelTable::of(ccd()).unwrap();
+        let frames = |level: u8| -> Vec<Vec<u8>> { TIMES.iter().map(|_| vec![level; map.pixels()]).collect() };
+        let black = merge(&map, &table, &Dark::none(), &exposures(&frames(0))).unwrap();
+        let floor = ccd().response.exposure(1.0 / 256.0) / 2.56;
+        for p in &black.channels[0] {
+            assert!(p.rate >= 0.5 * floor && p.rate < 0.6 * floor, "half the floor over VC");
+            assert!((p.u_floor / p.rate - 2.0 / 12.0_f64.sqrt()).abs() < 1e-12);
+            assert!(p.below_floor > 0.999 && p.measured == 0.0);
+        }
+        let white = merge(&map, &table, &Dark::none(), &exposures(&frames(255))).unwrap();
+        for p in &white.channels[0] {
+            assert!(p.rate.is_nan() && p.missing > 0.999 && p.coverage() == 0.0);
+            assert!(p.lower_bound >= table.top_x() / 0.01);
+        }
+    }
+
+    /// A bright half: patches that straddle its border feel a shift of direction, the others do not.
+    #[test]
+    fn a_peak_at_a_border_feels_the_direction_uncertainty() {
+        let spec = maps::small(Mosaic::Mono);
+        let map = PixelMap::build(&spec).unwrap();
+        let table = LevelTable::of(ccd()).unwrap();
+        let f = ccd().response;
+        let field = |shift: f64| -> ViewPatches {
+            let frames: Vec<Vec<f64>> = TIMES
+                .iter()
+                .map(|t| {
+                    (0..map.pixels())
+                        .map(|i| {
+                            let column = (i % spec.width) as f64 - shift;
+                            let rate = 1.0 + 9.0 / (1.0 + (-(column - 80.0) / 1.5).exp());
+                            f.ndl(exposure(&spec, i, rate, *t))
+                        })
+                        .collect()
+                })
+                .collect();
+            merge(&map, &table, &Dark::none(), &exposures(&frames)).unwrap()
+        };
+        let (here, there) = (field(0.0), field(0.2));
+        let mut compared = 0;
+        for (a, b) in here.channels[0].iter().zip(&there.channels[0]) {
+            let change = b.rate - a.rate;
+            if change.abs() > 0.1 {
+                // 0.3 degrees at the sample are 0.3 sqrt(J) / 1.886 pixels: 0.09 to 0.29; the shift was 0.2
+                let told = a.u_geometry[0];
+                assert!(told * change > 0.0, "sign {told} {change}");
+                assert!((0.3..2.5).contains(&(told / change)), "{told} for {change}");
+                compared += 1;
+            }
+        }
+        assert!(compared >= 3, "{compared}");
+    }
+
+    #[test]
+    fn wrong_input_is_refused_in_one_sentence() {
+        let map = PixelMap::build(&maps::small(Mosaic::Mono)).unwrap();
+        let table = LevelTable::of(ccd()).unwrap();
+        let short = [0_u8; 3];
+        let bad = Exposure { t_s: 1.0, pixels: &short[..] };
+        let text = merge(&map, &table, &Dark::none(), &[bad]).unwrap_err().to_string();
+        assert!(text.contains("3 pixels") && text.contains("14560"), "{text}");
+        assert!(merge::<u8>(&map, &table, &Dark::none(), &[]).is_err());
+        let frame = vec![0_u8; map.pixels()];
+        let now = Exposure { t_s: 0.0, pixels: &frame[..] };
+        assert!(merge(&map, &table, &Dark::none(), &[now]).is_err());
+    }
+
+    /// 1392 x 1040, five exposures, one core. Run alone: `cargo test --lib full_size -- --ignored --nocapture`.
+    #[test]
+    #[ignore = "speed, meaningful only on an idle machine"]
+    fn full_size_bracket_takes_25_ms_on_one_core() {
+        let map = PixelMap::build(&maps::ccd()).unwrap();
+        let table = LevelTable::of(ccd()).unwrap();
+        let mut seed = 3;
+        let frames: Vec<Vec<u8>> = TIMES
+            .iter()
+            .map(|t| (0..map.pixels()).map(|_| noisy(&ccd(), 5.0 * t, &mut seed) as u8).collect())
+            .collect();
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+        let best = (0..12)
+            .map(|_| {
+                let start = std::time::Instant::now();
+                let view = pool.install(|| merge(&map, &table, &Dark::none(), &exposures(&frames)).unwrap());
+                assert!(view.channels[1][0].rate > 4.0);
+                start.elapsed().as_secs_f64() * 1e3
+            })
+            .fold(f64::INFINITY, f64::min);
+        eprintln!("merge 1392 x 1040 x 5: {best:.1} ms");
+        assert!(best < 25.0);
+    }
+}
