@@ -240,18 +240,20 @@ mod tests {
             targets(&grid).iter().zip([(7e-3, 1.5e-2), (3e-3, 1e-2), (7e-3, 1.5e-2)]).map(|(t, (r, m))| (t, r, m))
         {
             let w = Combiner::new(&grid, &kernels, target, Prior::default()).unwrap().all().unwrap();
-            let mut squares = Vec::new();
+            let (mut squares, mut told) = (Vec::new(), 0);
             for (name, s) in testdata::analogues(&grid) {
                 let y: Vec<f64> = kernels.iter().map(|k| k.mean(&s)).collect();
                 let truth = mean(target, &s);
                 let error = w.value(&y) - truth;
                 squares.push((error / truth).powi(2));
                 let u = w.spectral(&y, &[0.0; 24]);
-                eprintln!("{name}: error {error:.5}, told {u:.5} truth {truth}");
+                told += usize::from(error.abs() < 2.0 * u);
                 assert!((error / truth).abs() < max_limit, "{name}: {:.4}", error / truth);
             }
             let rms = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
             assert!(squares.len() == 10 && rms < rms_limit, "rms {rms:.5}");
+            // the grey glass hides a steep edge below 400 nm behind flat readings: outside what a smooth prior can tell
+            assert!(told >= 9, "{told} of 10 within two standard uncertainties");
         }
     }
 
