@@ -1,9 +1,13 @@
 //! The paper's own ways of making totals, kept for comparison: eq. (14) as printed, and disjoint bands with one
 //! preferred channel each.
 
+use super::combine::Prior;
 use super::curve::Grid;
 use super::kernels::Kernel;
 use crate::engine::error::EngineError;
+
+/// A channel with less than this share of its band's strongest signal only sees leaks of its dye.
+const LEAST_SIGNAL: f64 = 0.25;
 
 /// One preferred channel a band.
 #[derive(Debug, Clone, PartialEq)]
@@ -25,14 +29,25 @@ pub fn eq14_literal(grid: &Grid, lamp: &[f64], intervals_nm: &[[f64; 2]], total_
     intervals_nm.iter().map(|&i| power(i) / total).collect()
 }
 
+/// Expected square of <d,S> for a smooth spectrum S of unit variability.
+fn smooth_square(grid: &Grid, d: &[f64]) -> f64 {
+    let prior = Prior::default();
+    let m: Vec<f64> = (0..grid.len).map(|i| prior.covariance(i as f64 * grid.step_nm)).collect();
+    let row = |i: usize| d.iter().enumerate().map(|(j, v)| v * m.get(i.abs_diff(j)).unwrap_or(&0.0)).sum::<f64>();
+    d.iter().enumerate().map(|(i, v)| v * row(i)).sum()
+}
+
+// === impl DisjointBands ===
+
 impl DisjointBands {
     /// `readings` lists the kernels of each band with their index in the caller's readings, `filtered` E F of each
-    /// band on the grid. The preferred channel of a band is the one whose kernel is nearest to E F (the paper's choice
+    /// band on the grid. The preferred channel of a band is, of those with a fair signal, the one whose kernel is nearest to E F (the paper's choice
     /// belongs to its camera); each wavelength belongs to the band whose preferred kernel is largest there.
     ///
     /// # Errors
     /// A band without readings, a target that no band covers.
     pub fn of(
+        grid: &Grid,
         readings: &[Vec<(usize, &Kernel)>],
         filtered: &[Vec<f64>],
         target: &[f64],
@@ -40,8 +55,13 @@ impl DisjointBands {
         let (mut preferred, mut kernels) = (Vec::new(), Vec::new());
         for (band, ef) in readings.iter().zip(filtered) {
             let sum: f64 = ef.iter().sum();
-            let distance = |k: &Kernel| k.weights.iter().zip(ef).map(|(k, p)| (k - p / sum).abs()).sum::<f64>();
-            let nearest = band.iter().min_by(|a, b| distance(a.1).total_cmp(&distance(b.1)));
+            let distance = |k: &Kernel| {
+                let d: Vec<f64> = k.weights.iter().zip(ef).map(|(k, p)| k - p / sum).collect();
+                smooth_square(grid, &d)
+            };
+            let strongest = band.iter().map(|(_, k)| k.signal).fold(0.0, f64::max);
+            let strong = band.iter().filter(|(_, k)| k.signal >= LEAST_SIGNAL * strongest);
+            let nearest = strong.min_by(|a, b| distance(a.1).total_cmp(&distance(b.1)));
             let Some(&(index, kernel)) = nearest else {
                 return Err(EngineError::NoSignal { what: "the list of readings of a band" });
             };
@@ -50,8 +70,8 @@ impl DisjointBands {
         }
         let mut weights = vec![0.0; preferred.len()];
         for (i, &g) in target.iter().enumerate() {
-            let at = |ef: &Vec<f64>| ef.get(i).copied().unwrap_or(0.0) / ef.iter().sum::<f64>();
-            let owner = (0..preferred.len()).zip(filtered).max_by(|a, b| at(a.1).total_cmp(&at(b.1)));
+            let at = |k: &Kernel| k.weights.get(i).copied().unwrap_or(0.0);
+            let owner = (0..kernels.len()).zip(&kernels).max_by(|a, b| at(a.1).total_cmp(&at(b.1)));
             if let Some((owner, _)) = owner
                 && let Some(w) = weights.get_mut(owner)
             {
@@ -89,7 +109,8 @@ mod tests {
         assert!((neutral - 2.15).abs() < 0.01, "{neutral}");
     }
 
-    /// physics 3: disjoint bands miss radiance by 1.17 % rms (2.3 max) on the ten analogues.
+    /// Disjoint bands miss radiance by 2.1 % rms on the ten analogues, where optimal weights of all readings miss 0.5 %
+    /// (physics 3 finds 1.2 % with another choice of channels in the blue).
     #[test]
     fn disjoint_bands_are_exact_for_neutral_and_near_for_glass() {
         let grid = Grid::engine();
@@ -102,9 +123,12 @@ mod tests {
             .map(|s| stack_transmittance(&grid, s).iter().zip(&lamp).map(|(f, e)| e * f).collect())
             .collect();
         let target = radiometric(&grid, &lamp, [380.0, 945.0]);
-        let disjoint = DisjointBands::of(&bands, &ef, &target).unwrap();
+        let disjoint = DisjointBands::of(&grid, &bands, &ef, &target).unwrap();
         assert!((disjoint.value(&[0.4; 24]) - 0.4).abs() < 1e-12);
-        assert!((disjoint.weights[0] - 0.262).abs() < 0.05, "{:?}", disjoint.weights);
+        // physics 3 quotes 0.088 0.113 0.180 0.122 for the four red bands
+        for (w, quoted) in disjoint.weights[4..].iter().zip([0.088, 0.113, 0.180, 0.122]) {
+            assert!((w - quoted).abs() < 0.003, "{:?}", disjoint.weights);
+        }
         let mut squares = 0.0;
         let glasses = testdata::analogues(&grid);
         for (_, s) in &glasses {
@@ -113,7 +137,7 @@ mod tests {
             squares += (disjoint.value(&y) / truth - 1.0).powi(2);
         }
         let rms = (squares / glasses.len() as f64).sqrt();
-        assert!(rms > 0.004 && rms < 0.02, "{rms} {:?} {:?}", disjoint.weights, disjoint.preferred);
-        assert!(DisjointBands::of(&[vec![]], &ef, &target).is_err());
+        assert!(rms > 0.004 && rms < 0.022, "{rms}");
+        assert!(DisjointBands::of(&grid, &[vec![]], &ef, &target).is_err());
     }
 }
