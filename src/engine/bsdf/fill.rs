@@ -10,8 +10,8 @@ use crate::engine::optics::side::Side;
 /// A measured direction this near to a patch's centre counts as that patch.
 const HIT_DEG: f64 = 1.0;
 
-/// Matrix of `side` and `quantity` from the measured columns. `isotropic` allows to turn columns about the normal and to
-/// interpolate between measured polar angles; nothing is extrapolated. What cannot be known stays NaN.
+/// Matrix of `side` and `quantity` from the measured columns. `isotropic` allows to turn columns about the normal and
+/// to interpolate between measured polar angles; nothing is extrapolated. What cannot be known stays NaN.
 pub fn fill(set: &BsdfSet, side: Side, quantity: usize, isotropic: bool) -> Matrix {
     let basis = &set.basis;
     let columns: Vec<&Column> = set
@@ -53,7 +53,8 @@ fn exact_hit<'a>(columns: &[&'a Column], centre: Direction) -> Option<&'a Column
     (angle(best) <= HIT_DEG).then_some(best)
 }
 
-/// The column at `centre` from columns at other azimuths, interpolated between the measured polar angles on both sides.
+/// The column at `centre` from columns at other azimuths, interpolated between the measured polar angles on both
+/// sides.
 fn by_symmetry(basis: &AngleBasis, columns: &[&Column], centre: Direction) -> Option<(Vec<(f64, f64)>, Origin)> {
     let (theta, phi) = centre.degrees();
     let of = |c: &Column| c.incident.degrees().0;
@@ -89,8 +90,8 @@ fn between((a, ua): (f64, f64), (b, ub): (f64, f64), w: f64) -> (f64, f64) {
     (value, ((1.0 - w) * ua + w * ub).hypot(bend))
 }
 
-/// A column turned by `degrees` about the normal (x towards y). Where the turn is not a whole number of patches the two patches that
-/// overlap are mixed by area, which keeps the hemispherical sum.
+/// A column turned by `degrees` about the normal (x towards y). Where the turn is not a whole number of patches the
+/// two patches that overlap are mixed by area, which keeps the hemispherical sum.
 pub fn rotate(basis: &AngleBasis, column: &[(f64, f64)], degrees: f64) -> Vec<(f64, f64)> {
     let mut out = Vec::with_capacity(column.len());
     let mut first = 0;

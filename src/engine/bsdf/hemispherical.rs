@@ -1,4 +1,5 @@
-//! Direct-hemispherical value of a column: sum of projected solid angle x BSDF, with what is missing told, not hidden.
+//! Direct-hemispherical value of a column: sum of projected solid angle x BSDF, with what is missing told, not
+//! hidden.
 
 use super::budget::PatchBsdf;
 use crate::engine::error::EngineError;

@@ -89,8 +89,8 @@ fn energy(set: &BsdfSet, column: &Column, findings: &mut Vec<Finding>) {
     }
 }
 
-/// Compares with the column nearest to the normal: T(theta) / T(0) of 1/cos is what a second division would give a flat
-/// transmittance; glass falls towards grazing, so a quarter of that growth is already suspicious.
+/// Compares with the column nearest to the normal: T(theta) / T(0) of 1/cos is what a second division would give a
+/// flat transmittance; glass falls towards grazing, so a quarter of that growth is already suspicious.
 fn grazing(set: &BsdfSet, column: &Column, findings: &mut Vec<Finding>) {
     let (theta, _) = column.incident.degrees();
     if theta < GRAZING_DEG || !column.side.is_transmission() {

@@ -40,11 +40,11 @@ pub struct AbsoluteTerms {
     pub drift_relative_u: f64,
 }
 
-/// Ratio mode: BSDF = (X_sample / X_reference) BSDF_ref cos(theta_ref) / cos(theta_i), patch by patch. Mirror, lens, responsivity and
-/// irradiance cancel. A patch without a positive reference is unknown.
+/// Ratio mode: BSDF = (X_sample / X_reference) BSDF_ref cos(theta_ref) / cos(theta_i), patch by patch. Mirror, lens,
+/// responsivity and irradiance cancel. A patch without a positive reference is unknown.
 ///
-/// The response residual is one error of one curve: where sample and reference were read at the same level it cancels.
-/// With relative effects a and b the smaller is taken as common, so what remains is sqrt(|a^2 - b^2|).
+/// The response residual is one error of one curve: where sample and reference were read at the same level it
+/// cancels. With relative effects a and b the smaller is taken as common, so what remains is sqrt(|a^2 - b^2|).
 ///
 /// # Errors
 /// Lists of different length; grazing or backward incidence; a reference BSDF that is not positive.
@@ -54,7 +54,7 @@ pub fn ratio(sample: &[PatchMean], reference: &[PatchMean], terms: &RatioTerms) 
         return Err(EngineError::Length { what, expected: sample.len(), got: reference.len() });
     }
     let cos_ratio = positive_cos("reference_theta", terms.reference_theta)? / positive_cos("theta", terms.theta)?;
-    if !(terms.reference_bsdf > 0.0) {
+    if terms.reference_bsdf.is_nan() || terms.reference_bsdf <= 0.0 {
         let allowed = "the diffuser must scatter";
         return Err(EngineError::Parameter { name: "reference_bsdf", value: terms.reference_bsdf, allowed });
     }
@@ -63,7 +63,7 @@ pub fn ratio(sample: &[PatchMean], reference: &[PatchMean], terms: &RatioTerms) 
 }
 
 fn ratio_patch(s: &PatchMean, r: &PatchMean, scale: f64, terms: &RatioTerms) -> PatchBsdf {
-    if !(r.rate > 0.0) {
+    if r.rate.is_nan() || r.rate <= 0.0 {
         return PatchBsdf::nothing();
     }
     let k = scale / r.rate;

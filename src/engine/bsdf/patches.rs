@@ -107,8 +107,8 @@ impl ViewPatches {
         Ok(ViewPatches { channels })
     }
 
-    /// Mean ratio other/self of one channel over patches both have, weighted by rate: how the lamp drifted between two
-    /// views of the same thing. `None` if they share nothing.
+    /// Mean ratio other/self of one channel over patches both have, weighted by rate: how the lamp drifted between
+    /// two views of the same thing. `None` if they share nothing.
     pub fn drift_to(&self, other: &ViewPatches, channel: usize) -> Option<f64> {
         let (a, b) = (self.channels.get(channel)?, other.channels.get(channel)?);
         let both = a.iter().zip(b).filter(|(a, b)| a.rate > 0.0 && b.rate > 0.0);

@@ -8,7 +8,8 @@ use std::collections::HashMap;
 /// Readings of one patch below this coverage are not combined.
 const LEAST_COVERAGE: f64 = 0.5;
 
-/// Combines `readings` (one list of patches a reading, in the order of the combiner's kernels) into one list of patches.
+/// Combines `readings` (one list of patches a reading, in the order of the combiner's kernels) into one list of
+/// patches.
 ///
 /// Random parts are independent between readings; every other part is one cause acting on all readings, but whether
 /// its effects have the same sign is not always known (response, drift between bands), so the larger of the coherent

@@ -3,7 +3,8 @@
 use super::direction::Vec3;
 use crate::engine::error::EngineError;
 
-/// theta_c = k rho_px, azimuth of v = azimuth of the pixel in the image + roll. Pixel centres at whole numbers, row 0 on top.
+/// theta_c = k rho_px, azimuth of v = azimuth of the pixel in the image + roll. Pixel centres at whole numbers, row 0
+/// on top.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Fisheye {
     /// Column of the principal point.
@@ -28,7 +29,8 @@ pub(crate) struct Lens {
 // === impl Fisheye ===
 
 impl Fisheye {
-    /// Viewing direction at image point (`column`, `row`), whole numbers at pixel centres. z < 0 beyond the hemisphere.
+    /// Viewing direction at image point (`column`, `row`), whole numbers at pixel centres. z < 0 beyond the
+    /// hemisphere.
     pub fn view(&self, column: f64, row: f64) -> Vec3 {
         Lens::of(*self).view(column, row).0
     }

@@ -1,8 +1,9 @@
 //! Every pixel of one view told as patches of the basis: weights, borders, Bayer channel, vignetting.
 //!
-//! A pixel that a patch border crosses is split by sub-sampling. For the uncertainty of directions the map also keeps,
-//! for pixels near borders, how their share of a patch changes when the picture shifts by one standard uncertainty of
-//! direction: by Gauss' theorem that is all a patch mean can feel of a shift, be it a gradient or a peak at a border.
+//! A pixel that a patch border crosses is split by sub-sampling. For the uncertainty of directions the map also
+//! keeps, for pixels near borders, how their share of a patch changes when the picture shifts by one standard
+//! uncertainty of direction: by Gauss' theorem that is all a patch mean can feel of a shift, be it a gradient or a
+//! peak at a border.
 
 use super::basis::AngleBasis;
 use super::ellipsoid::Ellipsoid;
@@ -161,7 +162,7 @@ impl PixelMap {
 
     fn add_row(&mut self, cover: &Cover, path: &Path, row: usize, shift: usize, u_rad: f64) {
         let (part0, edge0) = (self.parts.len(), self.edges.len());
-        let mut columns = usize::MAX..0;
+        let mut span: Option<std::ops::Range<usize>> = None;
         for column in 0..self.width {
             let i = row * self.width + column;
             let channel = self.mosaic.channel(column, row) * self.patches;
@@ -183,7 +184,7 @@ impl PixelMap {
             if self.parts.len() == before {
                 continue;
             }
-            columns = columns.start.min(column)..column + 1;
+            span = Some(span.map_or(column, |s| s.start)..column + 1);
             let weight: f64 = self.parts.iter().skip(before).map(|p| p.weight).sum();
             // the map is conformal: a shift by u at the sample is u sqrt(J) / k pixels
             let scale = weight * u_rad * point.jacobian.sqrt() / path.k() / (2.0 * shift as f64);
@@ -191,8 +192,11 @@ impl PixelMap {
                 self.edges.push(Edge { column: column as u32, slot: slot(patch), gx: scale * fx, gy: scale * fy });
             });
         }
-        let columns = if columns.start < columns.end { columns } else { 0..0 };
-        self.rows.push(Row { columns, parts: part0..self.parts.len(), edges: edge0..self.edges.len() });
+        self.rows.push(Row {
+            columns: span.unwrap_or(0..0),
+            parts: part0..self.parts.len(),
+            edges: edge0..self.edges.len(),
+        });
     }
 
     fn add_part(&mut self, share: &Share, column: usize, slot: u32) {

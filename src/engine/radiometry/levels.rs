@@ -6,8 +6,8 @@
 use super::response::{LevelConvention, Response};
 use crate::engine::error::EngineError;
 
-/// One-sided limit in standard deviations: a level counts as safe from an end of the range when noise carries it there
-/// with a probability below 1e-3.
+/// One-sided limit in standard deviations: a level counts as safe from an end of the range when noise carries it
+/// there with a probability below 1e-3.
 const SAFE_SIGMA: f64 = 3.09;
 
 /// Photon-transfer numbers of a camera.
@@ -280,8 +280,8 @@ pub(crate) mod tests {
         assert!(0.5_f64.entry(&LevelTable::of(ccd()).unwrap()).w > 0.0);
     }
 
-    /// One-pixel noise of the exposure ladder, physics 2.1: at N = 0.684 the half level is 0.59 % of L and the standard
-    /// deviation of one pixel, read at x(N), 1.17 % with shot noise of 18 ke at N = 1.
+    /// One-pixel noise of the exposure ladder, physics 2.1: at N = 0.684 the half level is 0.59 % of L and the
+    /// standard deviation of one pixel, read at x(N), 1.17 % with shot noise of 18 ke at N = 1.
     #[test]
     fn one_pixel_noise_is_that_of_the_ladder_table() {
         let r = ccd();

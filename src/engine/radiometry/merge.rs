@@ -1,7 +1,8 @@
 //! The bracket merge: all exposures of one view in one pass, straight into the patches of the basis.
 //!
 //! For each pixel L = sum w L_k / sum w over the exposures, w = 1/var(L_k), minus the dark rate, divided by VC. The
-//! frame is cut into fixed tiles that are summed in tile order, so the result does not depend on the number of threads.
+//! frame is cut into fixed tiles that are summed in tile order, so the result does not depend on the number of
+//! threads.
 
 use super::dark::Dark;
 use super::levels::{Class, LevelTable, Reading};

@@ -1,8 +1,9 @@
 //! Optimal combination of readings into a total: weights c with sum c = 1 (physics 3).
 //!
-//! Any wanted quantity is a functional <g,S>, sum g = 1; each reading is y_k = <K_k,S>, sum K_k = 1. The weights minimise
-//! (g - K^T c)^T M (g - K^T c) + c^T N c under sum c = 1: M is the covariance of a smooth spectrum (Matern 3/2), N the
-//! reading noise. sum c = 1 makes a neutral sample exact; what is left is the posterior variance of <g,S>.
+//! Any wanted quantity is a functional <g,S>, sum g = 1; each reading is y_k = <K_k,S>, sum K_k = 1. The weights
+//! minimise (g - K^T c)^T M (g - K^T c) + c^T N c under sum c = 1: M is the covariance of a smooth spectrum (Matern
+//! 3/2), N the reading noise. sum c = 1 makes a neutral sample exact; what is left is the posterior variance of
+//! <g,S>.
 
 use super::curve::Grid;
 use super::kernels::Kernel;
@@ -80,7 +81,7 @@ impl Combiner {
             }
         }
         let sum: f64 = target.iter().sum();
-        if !(sum > 0.0) {
+        if sum.is_nan() || sum <= 0.0 {
             return Err(EngineError::NoSignal { what: "the target weighting" });
         }
         if !(prior.length_nm > 0.0 && prior.reading_noise > 0.0) {

@@ -13,8 +13,8 @@ pub struct GlassPlate {
     pub thickness_mm: f64,
 }
 
-/// Transmittance of a stack on the grid: product of P tau_1^d over its glasses (1 for no glass). Outside a glass's table its nearest
-/// row counts.
+/// Transmittance of a stack on the grid: product of P tau_1^d over its glasses (1 for no glass). Outside a glass's
+/// table its nearest row counts.
 pub fn stack_transmittance(grid: &Grid, stack: &[GlassPlate]) -> Vec<f64> {
     let mut t = vec![1.0; grid.len];
     for glass in stack {

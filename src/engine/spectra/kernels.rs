@@ -27,7 +27,7 @@ impl Kernel {
     pub fn of(grid: &Grid, band: &str, channel: usize, [r, e, f, rho]: [&[f64]; 4]) -> Result<Kernel, EngineError> {
         let product = product(grid, &[r, e, f, rho])?;
         let sum: f64 = product.iter().sum();
-        if !(sum > 0.0) {
+        if sum.is_nan() || sum <= 0.0 {
             return Err(EngineError::NoSignal { what: "the product of responsivity, lamp, filter and mirror" });
         }
         let weights = product.iter().map(|p| p / sum).collect();
@@ -40,8 +40,8 @@ impl Kernel {
     }
 }
 
-/// 1/h of eq. (11) and (13): responsivity to a beam of relative spectrum `p` = E F rho, sum of p r / sum of E F. With the mirror in the
-/// numerator only, L = X h is the radiance at the sample.
+/// 1/h of eq. (11) and (13): responsivity to a beam of relative spectrum `p` = E F rho, sum of p r / sum of E F. With
+/// the mirror in the numerator only, L = X h is the radiance at the sample.
 ///
 /// # Errors
 /// A factor of another length than the grid; no light.
