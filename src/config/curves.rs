@@ -81,7 +81,7 @@ impl Curves {
 }
 
 /// Reads the reflection factor P of each glass from a table with the columns `glass` and `reflection_factor_P`
-/// (further columns are not read; a glass may have several rows with the same P).
+/// (further columns are not read; a glass may have several rows with the same P; 0 = not known).
 ///
 /// # Errors
 /// One sentence with the line.
@@ -100,7 +100,7 @@ pub fn reflection_factors(text: &str) -> Result<BTreeMap<String, f64>, String> {
             return Err(format!("line {line} has fewer columns than the header"));
         };
         let factor: f64 = cell.parse().map_err(|_| format!("line {line}: `{cell}` is not a number"))?;
-        if !(factor > 0.0 && factor <= 1.0) {
+        if !(0.0..=1.0).contains(&factor) {
             return Err(format!("line {line}: the reflection factor {factor} is not between 0 and 1"));
         }
         factors.insert((*glass).to_owned(), factor);

@@ -22,9 +22,10 @@ pub fn unknown_key(schema: &Schema, pattern: &str, table: &str, key: &str) -> St
     let place = place(table);
     let allowed: Vec<&str> = schema::children(schema, pattern).map(|(name, _)| name).collect();
     if let Some((to, word, factor)) = same_in_other_unit(&allowed, key) {
+        let unit = key.rsplit('_').next().unwrap_or(key);
         let example = trimmed(factor);
         return format!(
-            "`{key}` is not a key of {place}; {word} are meant here: write `{to}`, where 1 of the other unit is {example}"
+            "`{key}` is not a key of {place}; {word} are meant here: write `{to}` (1 {unit} is {example} {word})"
         );
     }
     if let Some(near) = nearest(key, allowed.iter().copied()) {
@@ -38,6 +39,12 @@ pub fn unknown_key(schema: &Schema, pattern: &str, table: &str, key: &str) -> St
         return format!("`{key}` is not a key of {place}; {word} are written in {}", quoted(&family));
     }
     format!("`{key}` is not a key of {place}; allowed are {}", quoted(&allowed))
+}
+
+/// The allowed key that an unknown one is meant to be, where that can be told.
+pub fn meant<'a>(schema: &'a Schema, pattern: &'a str, key: &str) -> Option<&'a str> {
+    let allowed: Vec<&str> = schema::children(schema, pattern).map(|(name, _)| name).collect();
+    same_in_other_unit(&allowed, key).map(|(to, ..)| to).or_else(|| nearest(key, allowed.iter().copied()))
 }
 
 /// A key that must be there.
@@ -90,7 +97,8 @@ pub fn wrong_value(name: &str, kind: &Kind, value: &DeValue<'_>) -> String {
 
 /// The nearest of `allowed` to `word`, where one is near enough to be meant.
 pub fn nearest<'a>(word: &str, allowed: impl Iterator<Item = &'a str>) -> Option<&'a str> {
-    let limit = (word.chars().count() / 3).max(1);
+    let length = word.chars().count();
+    let limit = if length <= 3 { 1 } else { (length / 3).max(2) };
     allowed.map(|a| (edits(word, a), a)).filter(|(d, _)| *d <= limit).min().map(|(_, a)| a)
 }
 

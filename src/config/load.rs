@@ -68,6 +68,7 @@ impl Walk<'_> {
 
     /// `name` is the table as written, `pattern` the same in the schema.
     fn table(&mut self, table: &DeTable<'_>, name: &str, pattern: &str) {
+        let mut meant = Vec::new();
         let is_map = self.schema.get(pattern).is_some_and(|k| k.kind == Kind::Map);
         for (key, value) in table {
             let key_text: &str = key.get_ref();
@@ -76,6 +77,7 @@ impl Walk<'_> {
             match self.schema.get(&child) {
                 Some(known) => self.value(value, &full, &child, known),
                 None => {
+                    meant.extend(hint::meant(self.schema, pattern, key_text));
                     let message = hint::unknown_key(self.schema, pattern, name, key_text);
                     self.issues.push(self.source.issue_at(Severity::Error, key.span(), &full, message));
                 }
@@ -85,7 +87,7 @@ impl Walk<'_> {
             return;
         }
         for (child, key) in schema::children(self.schema, pattern) {
-            if key.required && !table.contains_key(child) {
+            if key.required && !table.contains_key(child) && !meant.contains(&child) {
                 let message = hint::missing_key(self.schema, pattern, name, child, &key.kind);
                 self.issues.push(self.source.issue(Severity::Error, &join(name, child), message));
             }

@@ -9,11 +9,11 @@ use crate::config::scan::Scan;
 use crate::config::source::read_bytes;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
-use std::fmt::Write;
+use std::fmt::{self, Write};
 use std::path::{Component, Path, PathBuf};
 
 /// A file that was read.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Clone, PartialEq, Eq)]
 pub struct InputFile {
     /// What it is for: `scan`, `instrument`, `calibration.ccd`, `lamp.spectrum`, ….
     pub role: String,
@@ -60,6 +60,15 @@ pub fn sha256(bytes: &[u8]) -> String {
         let _ = write!(text, "{byte:02x}");
         text
     })
+}
+
+// === impl InputFile ===
+
+impl fmt::Debug for InputFile {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        // The content is long and has its digest.
+        f.debug_struct("InputFile").field("name", &self.name).field("sha256", &self.sha256).finish_non_exhaustive()
+    }
 }
 
 // === impl Inputs ===
@@ -243,10 +252,12 @@ fn known_glasses(
                     &key,
                     format!("`{key}` is \"{name}\", a glass that {file} does not have{}", near.unwrap_or_default()),
                 );
-            } else if factors.is_some_and(|f| !f.contains_key(name)) {
+            } else if factors.is_some_and(|f| f.get(name).is_none_or(|p| *p == 0.0)) {
                 let file = instrument.filter_wheel.glass_parameters.display();
-                report
-                    .error(&key, format!("`{key}` is \"{name}\", whose reflection factor is not in {file}; add a row"));
+                report.error(
+                    &key,
+                    format!("`{key}` is \"{name}\", whose reflection factor is not in {file}; add it there"),
+                );
             }
         }
     }

@@ -225,7 +225,8 @@ fn exposure(s: &Scan, i: &Instrument, slots: &[&FilterSlot], report: &mut Report
             ),
         );
     }
-    let sound_times = report.positive("exposure.shortest_s", e.shortest_s, 86_400.0)
+    // Integration times are whole microseconds.
+    let sound_times = report.range("exposure.shortest_s", e.shortest_s, 1e-6, 86_400.0)
         && report.positive("exposure.longest_s", e.longest_s, 86_400.0);
     if !(sound_ratio && sound_times) {
         return;
