@@ -3,8 +3,11 @@
 use super::schema::{self, Kind, Schema};
 use toml::de::DeValue;
 
-/// Suffixes of keys and spellings of the same kind of unit: (suffix, word, other spellings with factor to it).
-const UNITS: [(&str, &str, &[(&str, f64)]); 6] = [
+/// Suffix of keys, word for their unit, spellings of units of the kind with the factor to it.
+type Unit = (&'static str, &'static str, &'static [(&'static str, f64)]);
+
+/// The units that key names state.
+const UNITS: [Unit; 6] = [
     (
         "_s",
         "seconds",

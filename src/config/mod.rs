@@ -7,6 +7,8 @@
 pub mod calibration;
 pub mod check;
 pub mod curves;
+#[cfg(test)]
+mod docs;
 pub mod error;
 mod hint;
 pub mod incidence;

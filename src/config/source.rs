@@ -35,14 +35,14 @@ impl Source {
             role,
             reason: format!("byte {} is not UTF-8; save the file as UTF-8 text", e.utf8_error().valid_up_to()),
         })?;
-        Source::parse(path, text).map_err(|issue| ConfigError::Faulty { issues: vec![issue] })
+        Source::parse(path, text)
     }
 
     /// Finds the place of every key in a TOML text.
     ///
     /// # Errors
-    /// One issue where the text is not TOML.
-    pub fn parse(path: &Path, text: String) -> Result<Source, Issue> {
+    /// `Faulty` with one issue where the text is not TOML.
+    pub fn parse(path: &Path, text: String) -> Result<Source, ConfigError> {
         let mut source = Source { path: path.to_owned(), text, places: BTreeMap::new() };
         let mut places = BTreeMap::new();
         let failure = match DeTable::parse(&source.text) {
@@ -54,7 +54,8 @@ impl Source {
         };
         if let Some((span, message)) = failure {
             let message = format!("this is not TOML: {}; correct the line", message.trim().replace('\n', ", "));
-            return Err(source.issue_at(Severity::Error, span, "", message));
+            let issue = source.issue_at(Severity::Error, span, "", message);
+            return Err(ConfigError::Faulty { issues: vec![issue] });
         }
         source.places = places;
         Ok(source)
@@ -180,7 +181,8 @@ mod tests {
 
     #[test]
     fn broken_toml_points_at_the_place() {
-        let issue = Source::parse(Path::new("x.toml"), "a = 1\nb = = 2\n".into()).unwrap_err();
+        let error = Source::parse(Path::new("x.toml"), "a = 1\nb = = 2\n".into()).unwrap_err();
+        let issue = &error.issues()[0];
         assert_eq!((issue.line, issue.column), (2, 5));
         assert!(issue.message.starts_with("this is not TOML"), "{}", issue.message);
     }

@@ -3,7 +3,7 @@
 use super::inputs::Inputs;
 use super::{Options, Report, folder};
 use crate::config::calibration::{CameraCalibration, Geometry, Response, ResponseConvention, ResponseForm, Vignetting};
-use crate::config::error::{ConfigError, Issue, Severity};
+use crate::config::error::{Issue, Severity};
 use crate::config::instrument::{Camera, Instrument};
 use crate::config::load::{Loaded, parse};
 use crate::config::source::Source;
@@ -27,8 +27,7 @@ pub(super) fn read(
         let path = folder(&instrument.source.path).join(&camera.calibration);
         let mut report = Report { source: &instrument.source, issues };
         let Some(text) = inputs.read(&mut report, &key, &format!("calibration.{name}"), &path) else { continue };
-        let parsed = Source::parse(&path, text).map_err(|issue| ConfigError::Faulty { issues: vec![issue] });
-        match parsed.and_then(parse::<CameraCalibration>) {
+        match Source::parse(&path, text).and_then(parse::<CameraCalibration>) {
             Ok(loaded) => {
                 check(name, camera, &loaded, options, inputs, issues);
                 all.insert(name.clone(), loaded.value);
@@ -118,7 +117,7 @@ fn response(r: &Response, report: &mut Report<'_>) {
         return;
     }
     let at_one = a + b / (1.0 + c.recip().powf(d));
-    if r.convention == ResponseConvention::FOfOneIs03 && !((at_one - 0.3).abs() <= NORMALISATION_NDL) {
+    if r.convention == ResponseConvention::FOfOneIs03 && (at_one - 0.3).abs() > NORMALISATION_NDL {
         report.error(
             "response.convention",
             format!("`response.convention` says f(1) = 0.3, but these constants give {at_one:.6}; use c' = c/g(0.3), or write \"as-printed\""),

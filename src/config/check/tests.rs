@@ -61,7 +61,7 @@ impl Bench {
 
     /// The only error, which must stand at `key` and say all words.
     fn only(&self, key: &str, words: &[&str]) {
-        let issues = self.check().err().expect(key).issues().to_vec();
+        let issues = self.check().expect_err(key).issues().to_vec();
         let errors: Vec<&Issue> = issues.iter().filter(|i| i.severity == Severity::Error).collect();
         assert_eq!(errors.len(), 1, "{key}: {}", ConfigError::Faulty { issues: issues.clone() });
         let error = errors[0];
