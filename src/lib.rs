@@ -12,7 +12,9 @@
 //! - [`config`]: what people write becomes checked values
 //! - [`control`]: what happens in the night
 //! - [`engine`]: what the pictures mean
+//! - [`products`]: what people take away
 
 pub mod config;
 pub mod control;
 pub mod engine;
+pub mod products;
