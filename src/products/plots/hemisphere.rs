@@ -77,6 +77,7 @@ pub(super) fn patches(
         let theta = (90.0 * dx.hypot(dy) / radius).min(90.0);
         basis.patch_of(Direction { theta: theta.to_radians(), phi: dy.atan2(dx).rem_euclid(std::f64::consts::TAU) })
     };
+    let line = if radius > 150.0 { 0.45 } else { 0.2 };
     canvas.disc(centre, radius, |dx, dy| {
         let here = patch_at(dx, dy);
         let patch = here.and_then(|p| column.patches.get(p)).filter(|p| p.coverage > 0.0 && p.bsdf.is_finite());
@@ -87,7 +88,7 @@ pub(super) fn patches(
         };
         // Half a finished pixel of a lighter line between patches.
         let edge = patch_at(dx + 0.5, dy) != here || patch_at(dx, dy + 0.5) != here;
-        if edge { mix(colour, WHITE, 0.45) } else { colour }
+        if edge { mix(colour, WHITE, line) } else { colour }
     })?;
     canvas.ring(centre, radius, INK, 1.2)
 }
@@ -133,11 +134,17 @@ fn azimuths(canvas: &Canvas, centre: (f64, f64), radius: f64) -> Result<(), Plot
 pub(super) fn marks(canvas: &Canvas, centre: (f64, f64), radius: f64, column: &Column) -> Result<(), PlotError> {
     let straight = Side::file_incident(column.incident);
     let at = on_disc(centre, radius, straight.theta.to_degrees(), straight.phi);
-    let size = (radius / 31.0).max(4.0);
-    canvas.ring(at, size, INK, 3.0)?;
-    canvas.ring(at, size, WHITE, 1.4)?;
+    // On small discs the ring goes around the patch and must not hide it.
+    let (size, width) = if radius > 150.0 { (radius / 31.0, 3.0) } else { (8.0, 2.0) };
+    canvas.ring(at, size, INK, width)?;
+    canvas.ring(at, size, WHITE, 0.5 * width)?;
     if column.incident.theta > 1e-6 {
-        wedge(canvas, on_disc(centre, radius + 1.0, 90.0, column.incident.phi), column.incident.phi, radius / 22.0)?;
+        wedge(
+            canvas,
+            on_disc(centre, radius + 1.0, 90.0, column.incident.phi),
+            column.incident.phi,
+            (radius / 22.0).max(9.0),
+        )?;
     }
     Ok(())
 }
