@@ -29,7 +29,7 @@ const DEVICE_TYPES: [&str; 10] = [
 
 /// The two wavelength entries of a file: text, source and detector spectrum.
 const VISIBLE: [&str; 3] = ["Visible", "CIE Illuminant D65 1nm.ssp", "ASTM E308 1931 Y.dsp"];
-const SOLAR: [&str; 3] = ["Solar", "ASTM G173 Direct AM1_5.ssp", "None"];
+const SOLAR: [&str; 3] = ["Solar", "ASTM G173 AM1_5 37 Tilt Direct Full Spectrum.ssp", "None"];
 
 /// The Klems file of a run.
 ///

@@ -21,8 +21,8 @@ pub fn hemisphere(set: &BsdfSet, column: &Column) -> Result<Picture, PlotError> 
     let scale = LogScale::of(measured(column))
         .ok_or_else(|| PlotError::Empty(format!("no positive value in {}", title(set, column))))?;
     picture((900, 780), |canvas| {
-        canvas.text(&title(set, column), (40.0, 36.0), Ink::new(25.0).bold())?;
-        canvas.text(&subtitle(column), (40.0, 68.0), Ink::new(16.0).colour(GREY))?;
+        canvas.text(&title(set, column), (40.0, 36.0), Ink::new(27.0).bold())?;
+        canvas.text(&subtitle(column), (40.0, 70.0), Ink::new(18.0).colour(GREY))?;
         let (centre, radius) = ((375.0, 412.0), 282.0);
         patches(canvas, centre, radius, &set.basis, column, scale)?;
         rings(canvas, centre, radius)?;
@@ -107,8 +107,8 @@ fn rings(canvas: &Canvas, centre: (f64, f64), radius: f64) -> Result<(), PlotErr
     for theta in [30.0, 60.0] {
         canvas.ring(centre, radius * theta / 90.0, WHITE, 1.0)?;
         let (x, y) = on_disc(centre, radius, theta, 0.0);
-        canvas.rectangle((x - 17.0, y - 9.0), (x + 17.0, y + 9.0), WHITE)?;
-        canvas.text(&format!("{theta:.0}°"), (x, y), Ink::new(13.0).centred())?;
+        canvas.rectangle((x - 20.0, y - 10.0), (x + 20.0, y + 10.0), WHITE)?;
+        canvas.text(&format!("{theta:.0}°"), (x, y), Ink::new(15.0).centred())?;
     }
     Ok(())
 }
@@ -118,14 +118,14 @@ fn azimuths(canvas: &Canvas, centre: (f64, f64), radius: f64) -> Result<(), Plot
         let phi = f64::from(k * 30).to_radians();
         let (a, b) = (on_disc(centre, radius, 90.0, phi), on_disc(centre, radius + 6.0, 90.0, phi));
         canvas.line(&[a, b], INK, 1.0)?;
-        let (x, y) = on_disc(centre, radius + 27.0, 90.0, phi);
+        let (x, y) = on_disc(centre, radius + 30.0, 90.0, phi);
         let words = match k {
             0 => "φ = 0°".to_owned(),
             3 => "90° up".to_owned(),
             _ => format!("{}°", k * 30),
         };
         let nudge = if k == 0 { 10.0 } else { 0.0 };
-        canvas.text(&words, (x + nudge, y), Ink::new(14.0).colour(GREY).centred())?;
+        canvas.text(&words, (x + nudge, y), Ink::new(16.5).colour(GREY).centred())?;
     }
     Ok(())
 }
@@ -177,27 +177,27 @@ pub(super) fn colour_bar(
     for value in scale.ticks() {
         let at = y + height * (1.0 - scale.place(value));
         canvas.line(&[(x + width, at), (x + width + 6.0, at)], INK, 1.0)?;
-        canvas.text(&label(value), (x + width + 11.0, at), Ink::new(14.0))?;
+        canvas.text(&label(value), (x + width + 11.0, at), Ink::new(16.0))?;
     }
     Ok(())
 }
 
 fn legend(canvas: &Canvas, side: Side) -> Result<(), PlotError> {
     let y = 750.0;
-    let ink = Ink::new(13.5).colour(GREY);
+    let ink = Ink::new(15.0).colour(GREY);
     canvas.ring((48.0, y), 7.0, INK, 3.0)?;
     canvas.ring((48.0, y), 7.0, WHITE, 1.4)?;
     let straight = if side.is_transmission() { "straight-through direction" } else { "mirror direction" };
     canvas.text(straight, (64.0, y), ink)?;
-    wedge(canvas, (276.0, y), 0.0, 13.0)?;
-    canvas.text("azimuth of the source", (298.0, y), ink)?;
-    canvas.rectangle((478.0, y - 7.0), (496.0, y + 7.0), ABSENT)?;
+    wedge(canvas, (288.0, y), 0.0, 13.0)?;
+    canvas.text("azimuth of the source", (310.0, y), ink)?;
+    canvas.rectangle((504.0, y - 7.0), (522.0, y + 7.0), ABSENT)?;
     for k in 0..3 {
-        let x = 478.0 + 6.0 * f64::from(k);
+        let x = 504.0 + 6.0 * f64::from(k);
         canvas.line(&[(x, y + 7.0), (x + 6.0, y - 7.0)], HATCH, 1.2)?;
     }
-    canvas.text("not measured", (504.0, y), ink)?;
-    canvas.text("seen from the interior", (690.0, y), ink)
+    canvas.text("not measured", (531.0, y), ink)?;
+    canvas.text("seen from the interior", (692.0, y), ink)
 }
 
 #[cfg(test)]
