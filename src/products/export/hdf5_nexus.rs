@@ -35,6 +35,9 @@ pub struct Spectrum {
     pub meaning: String,
 }
 
+/// How a number is taken from a patch.
+type Field = fn(&PatchValue) -> f64;
+
 /// The axes of the big arrays.
 struct Axes {
     sides: Vec<Side>,
@@ -90,7 +93,7 @@ fn data(entry: &Group, set: &BsdfSet, axes: &Axes) -> hdf5::Result<()> {
     let data = group(entry, "data", "NXdata")?;
     attribute(&data, "signal", "bsdf")?;
     attributes(&data, "axes", &["side", "incident", "quantity", "patch"])?;
-    let fields: [(&str, &str, fn(&PatchValue) -> f64); 5] = [
+    let fields: [(&str, &str, Field); 5] = [
         ("bsdf", "1/sr", |p| p.bsdf),
         ("u", "1/sr", |p| p.u),
         ("u_random", "1/sr", |p| p.u_random),

@@ -55,7 +55,7 @@ pub fn verdict(context: &ProductContext, set: &BsdfSet) -> Verdict {
     findings.push(checked(checks.drift, DRIFT, "Drift", "largest change between reference views"));
     findings.push(checked(checks.below_floor, FLOOR, "Floor", "patches below the instrument's own floor"));
     findings.push(calibration(context));
-    findings.sort_by(|a, b| b.light.cmp(&a.light));
+    findings.sort_by_key(|f| std::cmp::Reverse(f.light));
     Verdict { light: findings.first().map_or(Light::Red, |f| f.light), findings }
 }
 
