@@ -341,6 +341,9 @@ mod tests {
         let path = folder.path().join("bsdf.h5");
         let set = set();
         write_hdf5(&path, &set, &synthetic::context(), &[]).unwrap();
+        if let Some(folder) = std::env::var_os("GONIOD_PLOTS") {
+            std::fs::copy(&path, Path::new(&folder).join("bsdf.h5")).unwrap();
+        }
         let file = File::open(&path).unwrap();
         let bsdf = file.dataset("entry/data/bsdf").unwrap();
         assert_eq!(bsdf.shape(), [2, 3, 7, 145]);
