@@ -125,7 +125,7 @@ pub struct FilterWheel {
     pub port: String,
     /// Number of places the wheel must report.
     pub places: u8,
-    /// Time for one place, for forecasts.
+    /// Time for one place, for forecasts; starting and stopping come on top.
     pub step_s: f64,
     /// Wait after arrival.
     pub settle_s: f64,
@@ -202,6 +202,8 @@ pub struct Camera {
     pub frame_interval_s: f64,
     /// Frames thrown away after a change of settings or bench.
     pub discard_frames: u32,
+    /// Time to stop the stream and start it with new settings, where the camera does that when it is the shorter way.
+    pub restart_s: Option<f64>,
     /// Calibration file of this camera, relative to the instrument file.
     pub calibration: PathBuf,
 }

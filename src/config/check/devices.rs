@@ -241,6 +241,9 @@ fn camera(name: &str, camera: &Camera, report: &mut Report<'_>) {
     report.range(&at("readout_s"), camera.readout_s, 0.0, 600.0);
     report.range(&at("frame_interval_s"), camera.frame_interval_s, 0.0, 600.0);
     report.range(&at("discard_frames"), f64::from(camera.discard_frames), 0.0, 100.0);
+    if let Some(restart_s) = camera.restart_s {
+        report.range(&at("restart_s"), restart_s, 0.0, 600.0);
+    }
 }
 
 fn unique_serials(i: &Instrument, report: &mut Report<'_>) {

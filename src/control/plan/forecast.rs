@@ -5,33 +5,36 @@ use super::{Forecast, Step, View};
 use crate::config::instrument::{Axis, Camera, Instrument};
 use crate::control::plan::Subject;
 use goniod_drivers::frame::PixelFormat;
+use std::collections::BTreeMap;
 
 /// Two commanded angles nearer than this are one pose, degrees; axes are commanded in millionths.
 const SAME_DEG: f64 = 1e-7;
 
 /// What the forecast supposes about the sequencer and the drivers, besides the numbers of the instrument file.
 ///
-/// The model: the shutter is closed before anything turns and opened again before the next exposure with light; tilt,
-/// spin and changer move one after the other, then the wheel turns the shorter way round; each motion is noticed at the
-/// next poll; after every change of integration time, filter or pose `discard_frames` frames of the free-running
-/// camera go by, each as long as the larger of integration + read-out and the frame interval, then comes the kept one.
+/// The model: the shutter is closed before anything turns and opened again before the next exposure with light; wheel,
+/// changer, tilt and spin move one after the other; each axis motion is noticed at the next poll. A camera runs free:
+/// when it is armed, part of a frame is still under way and `discard_frames` frames with the settings before go by, each
+/// as long as the larger of integration + read-out and the frame interval; where the instrument gives `restart_s`, the
+/// camera restarts its stream instead when that is shorter. Then comes the kept frame, and wheel and shutter are asked
+/// whether they still stand.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Timing {
     /// Opening and identifying one device, seconds.
     pub open_s: f64,
     /// Finding the reference of one axis, seconds.
     pub home_s: f64,
-    /// Commands around one axis move (order, answer, read-back), seconds.
+    /// Questions and answers around one axis move, seconds.
     pub move_command_s: f64,
     /// Distance of the polls that notice that an axis stands, seconds; 0 = at once.
     pub poll_s: f64,
-    /// Commands around one turn of the wheel, seconds.
-    pub wheel_command_s: f64,
-    /// Commands and blade travel of one change of the shutter, seconds; the instrument's settle time comes on top.
+    /// Starting and stopping the wheel and the question that proves the place, seconds; `step_s` a place on top.
+    pub wheel_start_s: f64,
+    /// Questions and blade travel of one change of the shutter, seconds; the instrument's settle time on top.
     pub shutter_command_s: f64,
-    /// Writing and reading back a camera's settings and arming it, seconds for each kept frame.
-    pub arm_s: f64,
-    /// Part of a frame that is under way when the camera is armed and must end first, 0 to 1: of the setting before.
+    /// Questions to wheel and shutter after each kept frame, seconds.
+    pub prove_s: f64,
+    /// Part of a frame that is under way when a camera is armed, 0 to 1; the mean is a half.
     pub frame_under_way: f64,
 }
 
@@ -44,6 +47,8 @@ struct Bench<'a> {
     changer_deg: f64,
     slot: u8,
     open: bool,
+    /// Length of the last frames by camera, seconds.
+    frame_s: BTreeMap<&'a str, f64>,
     forecast: Forecast,
 }
 
@@ -87,18 +92,17 @@ pub fn forecast(
 ) -> Result<Forecast, PlanError> {
     let mut bench = Bench::new(instrument, *timing);
     let mut current = None;
-    let mut before_s = 0.0;
     for step in steps {
         let view = views.get(step.view as usize).ok_or(PlanError::NoSuchView { step: step.number, view: step.view })?;
-        let camera = instrument
+        let (name, camera) = instrument
             .camera
-            .get(&view.camera)
+            .get_key_value(&view.camera)
             .ok_or_else(|| PlanError::NoSuchCamera { view: view.id, camera: view.camera.clone() })?;
         if current != Some(step.view) {
             bench.pose(view);
             current = Some(step.view);
         }
-        before_s = bench.expose(camera, step, before_s);
+        bench.expose(name, camera, step);
     }
     Ok(bench.forecast)
 }
@@ -106,17 +110,19 @@ pub fn forecast(
 // === impl Timing ===
 
 impl Default for Timing {
-    /// What the drivers and the sequencer do on a bench without faults; poll distance from the Zaber sheet, 7.
+    /// The drivers as they are, on a bench without faults. Zaber: seven questions of 3 ms around a move, polls of 50 ms
+    /// and one question. FW212C: one place in 0.9 s, six in 2.9 s (sheet, 4), so half a second beside 0.4 s a place.
+    /// SC10: 8 ms a question, seven to nine of them a change.
     fn default() -> Timing {
         Timing {
             open_s: 0.2,
             home_s: 5.0,
-            move_command_s: 0.0,
-            poll_s: 0.05,
-            wheel_command_s: 0.0,
-            shutter_command_s: 0.0,
-            arm_s: 0.0,
-            frame_under_way: 0.0,
+            move_command_s: 0.021,
+            poll_s: 0.053,
+            wheel_start_s: 0.506,
+            shutter_command_s: 0.07,
+            prove_s: 0.022,
+            frame_under_way: 0.5,
         }
     }
 }
@@ -130,7 +136,17 @@ impl<'a> Bench<'a> {
         let devices = axes + 2.0 + instrument.camera.len() as f64;
         let start_s = devices * timing.open_s + axes * timing.home_s;
         let forecast = Forecast { start_s, ..Forecast::default() };
-        Bench { instrument, timing, tilt_deg: 0.0, spin_deg: 0.0, changer_deg: 0.0, slot: 1, open: false, forecast }
+        Bench {
+            instrument,
+            timing,
+            tilt_deg: 0.0,
+            spin_deg: 0.0,
+            changer_deg: 0.0,
+            slot: 1,
+            open: false,
+            frame_s: BTreeMap::new(),
+            forecast,
+        }
     }
 
     /// Brings the bench to a view.
@@ -167,19 +183,20 @@ impl<'a> Bench<'a> {
         if around == 0 {
             return 0.0;
         }
-        self.timing.wheel_command_s + f64::from(places) * wheel.step_s + wheel.settle_s
+        self.timing.wheel_start_s + f64::from(places) * wheel.step_s + wheel.settle_s
     }
 
-    /// One kept frame with all that goes before it; gives the length of its frames, seconds.
-    fn expose(&mut self, camera: &Camera, step: &Step, before_s: f64) -> f64 {
+    /// One kept frame with all that goes before and after it.
+    fn expose(&mut self, name: &'a str, camera: &Camera, step: &Step) {
         let exposure_s = step.exposure.seconds();
-        let frame_s = (exposure_s + camera.readout_s).max(camera.frame_interval_s);
-        let thrown_s = f64::from(camera.discard_frames) * frame_s + self.timing.frame_under_way * before_s;
+        let before_s = self.frame_s.get(name).copied().unwrap_or(camera.frame_interval_s);
+        let running_s = (f64::from(camera.discard_frames) + self.timing.frame_under_way) * before_s;
+        let waiting_s = running_s.min(camera.restart_s.unwrap_or(f64::INFINITY));
         self.forecast.exposing_s += exposure_s;
-        self.forecast.overhead_s += self.timing.arm_s + thrown_s + frame_s - exposure_s;
+        self.forecast.overhead_s += waiting_s + camera.readout_s + self.timing.prove_s;
         let pixels = camera.width_px as u64 * camera.height_px as u64;
         self.forecast.raw_bytes += pixels * bytes_per_pixel(camera.format);
-        frame_s
+        self.frame_s.insert(name, (exposure_s + camera.readout_s).max(camera.frame_interval_s));
     }
 }
 
@@ -212,29 +229,37 @@ mod tests {
         assert!((move_s(axis, 90.0) - 5.0).abs() < 1e-12);
         assert!((move_s(axis, -10.0) - 1.0).abs() < 1e-12);
         assert!((move_s(axis, 2.5) - 0.5).abs() < 1e-12);
-        let timing = Timing::default();
-        assert!((axis_s(axis, 0.0, 0.1, &timing) - (0.1 + 0.2)).abs() < 1e-9, "100 ms, noticed at the second poll");
+        let timing = Timing { move_command_s: 0.01, poll_s: 0.06, ..Timing::default() };
+        assert!(
+            (axis_s(axis, 0.0, 0.1, &timing) - (0.01 + 0.12 + 0.2)).abs() < 1e-9,
+            "100 ms, seen at the second poll"
+        );
         assert_eq!(axis_s(axis, 3.0, 3.0, &timing), 0.0);
     }
 
     /// One reference view and one dark, added up by hand.
     #[test]
     fn the_forecast_is_the_sum_of_its_parts() {
-        let i = instrument();
+        let mut i = instrument();
         let views = [view(0, Subject::Reference { transmission: false }, 3, 90.0), view(1, Subject::Dark, 12, 90.0)];
         let step = |number, view, us| Step { number, view, exposure_index: 0, exposure: ExposureTime(us) };
         let steps = [step(0, 0, 1_000_000), step(1, 0, 1_000), step(2, 1, 1_000)];
-        let f = forecast(&i, &views, &steps, &Timing::default()).unwrap();
-        assert!((f.moving_s - 5.2).abs() < 1e-9, "{f:?}");
+        let timing = Timing::default();
+        let f = forecast(&i, &views, &steps, &timing).unwrap();
+        // 90 degrees in 5 s, seen at the 95th poll.
+        assert!((f.moving_s - (0.021 + 95.0 * 0.053 + 0.2)).abs() < 1e-9, "{f:?}");
         // Place 1 to 3: two places; 3 to 12: three the shorter way.
-        assert!((f.filter_s - (5.0 * 0.5 + 2.0 * 0.1)).abs() < 1e-9, "{f:?}");
-        assert!((f.shutter_s - 2.0 * 0.05).abs() < 1e-9, "opened once, closed once: {f:?}");
+        assert!((f.filter_s - (5.0 * 0.4 + 2.0 * (0.506 + 0.1))).abs() < 1e-9, "{f:?}");
+        assert!((f.shutter_s - 2.0 * 0.12).abs() < 1e-9, "opened once, closed once: {f:?}");
         assert!((f.exposing_s - 1.002).abs() < 1e-9);
-        // Two frames thrown away and the kept one's read-out: 2 x 1.04 + 0.04, then twice 2 x 0.041 + 0.04.
-        assert!((f.overhead_s - (2.12 + 2.0 * 0.122)).abs() < 1e-9, "{f:?}");
+        // Three restarts of 0.1 s, read-outs and questions.
+        assert!((f.overhead_s - 3.0 * (0.1 + 0.06 + 0.022)).abs() < 1e-9, "{f:?}");
         assert_eq!(f.raw_bytes, 3 * 1392 * 1040);
         assert!((f.start_s - (7.0 * 0.2 + 15.0)).abs() < 1e-9);
-        let bad = [step(0, 9, 1)];
-        assert!(forecast(&i, &views, &bad, &Timing::default()).is_err());
+        // Without restart two and a half frames of the setting before go by: twice of 66.7 ms, once of 1.06 s.
+        i.camera.get_mut("ccd").unwrap().restart_s = None;
+        let slow = forecast(&i, &views, &steps, &timing).unwrap();
+        assert!((slow.overhead_s - f.overhead_s - 2.5 * (2.0 * 0.0667 + 1.06) + 0.3).abs() < 1e-9, "{slow:?}");
+        assert!(forecast(&i, &views, &[step(0, 9, 1)], &timing).is_err());
     }
 }

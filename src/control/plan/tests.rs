@@ -131,7 +131,7 @@ fn what_the_check_refuses_has_no_plan_either() {
         build(&i, &s, &timing).unwrap_err()
     };
     assert!(matches!(fails(|s| s.exposure.ratio = 1.0), PlanError::Ladder { count: 0 }));
-    assert!(matches!(fails(|s| s.exposure.longest_s = 700.0), PlanError::Exposure { .. }));
+    assert!(matches!(fails(|s| s.exposure.longest_s = 130.0), PlanError::Exposure { .. }));
     assert!(matches!(fails(|s| s.bands.names.push("f9".into())), PlanError::NoSlot { .. }));
     assert!(matches!(fails(|s| s.incidence.sides.clear()), PlanError::Size { steps: 0 }));
     let mut other = instrument();
