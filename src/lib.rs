@@ -13,10 +13,12 @@
 //! - [`config`]: what people write becomes checked values
 //! - [`control`]: what happens in the night
 //! - [`engine`]: what the pictures mean
+//! - [`front`]: what people touch
 //! - [`products`]: what people take away
 
 pub mod archive;
 pub mod config;
 pub mod control;
 pub mod engine;
+pub mod front;
 pub mod products;

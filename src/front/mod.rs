@@ -1,3 +1,5 @@
-//! What people touch: the command line.
+//! What people touch: the command line, and the bench it opens for a run.
 
+pub mod bench;
 pub mod cli;
+pub mod night;

@@ -1,8 +1,10 @@
 //! Scan -> numbered steps in travel order, with a hash and a forecast. Pure.
 //!
-//! [`build`](build::build) makes the plan, [`order`] finds the way, [`forecast`] plays it through, [`hash`] seals it.
+//! [`build`](build::build) makes the plan, [`order`] finds the way, [`forecast`] plays it through, [`hash`] seals it;
+//! [`document`] is what a run directory keeps of it.
 
 pub mod build;
+pub mod document;
 pub mod forecast;
 pub mod hash;
 pub mod order;

@@ -53,6 +53,16 @@ impl Curve {
         Curve::new(vec![lo_nm, hi_nm], vec![value, value])
     }
 
+    /// Wavelengths of the table, nm.
+    pub fn wavelength_nm(&self) -> &[f64] {
+        &self.wavelength_nm
+    }
+
+    /// Values at the wavelengths of the table.
+    pub fn values(&self) -> &[f64] {
+        &self.value
+    }
+
     /// First and last wavelength in nm.
     pub fn range_nm(&self) -> [f64; 2] {
         let end = |w: Option<&f64>| w.copied().unwrap_or(0.0);

@@ -1,6 +1,7 @@
 //! One BSDF matrix of the Klems file: 145 x 145 values and, for each column, how it came about.
 
 use super::ExportError;
+use crate::engine::bsdf::matrix::{self, Matrix};
 use crate::engine::bsdf::set::BsdfSet;
 use crate::engine::optics::basis::AngleBasis;
 use crate::engine::optics::side::Side;
@@ -41,6 +42,16 @@ pub struct FilledBlock {
 // === impl Origin ===
 
 impl Origin {
+    fn of(origin: matrix::Origin) -> Origin {
+        match origin {
+            matrix::Origin::Measured => Origin::Measured,
+            matrix::Origin::Symmetry => Origin::Symmetry,
+            matrix::Origin::Interpolated => Origin::Interpolated,
+            matrix::Origin::Reciprocity => Origin::Reciprocity,
+            matrix::Origin::NotMeasured => Origin::Absent,
+        }
+    }
+
     /// All, in the order of trust.
     pub const ALL: [Origin; 5] =
         [Origin::Measured, Origin::Symmetry, Origin::Interpolated, Origin::Reciprocity, Origin::Absent];
@@ -60,6 +71,18 @@ impl Origin {
 // === impl FilledBlock ===
 
 impl FilledBlock {
+    /// A block from a filled matrix; a column with an entry that is not known counts as absent.
+    pub fn of_matrix(side: Side, matrix: &Matrix) -> FilledBlock {
+        let n = matrix.n;
+        let known = |i: usize| (0..n).all(|o| matrix.at(o, i).0.is_finite());
+        let origin = (0..n).map(|i| match matrix.origin.get(i) {
+            Some(origin) if known(i) => Origin::of(*origin),
+            _ => Origin::Absent,
+        });
+        let values = matrix.bsdf.iter().map(|v| if v.is_finite() { *v } else { 0.0 }).collect();
+        FilledBlock { side, values, origin: origin.collect() }
+    }
+
     /// The measured columns of one side and quantity put in their places, nothing filled; `None` where the set holds
     /// no column of that side and quantity.
     ///

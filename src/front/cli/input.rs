@@ -1,0 +1,79 @@
+//! What several commands need: the instrument file, the checked files, a run opened to read.
+
+use super::exit::Exit;
+use super::output::{Failure, Output};
+use crate::config::check::{Checked, Options, check};
+use crate::config::error::ConfigError;
+use crate::front::bench::CAMERA_DRIVERS;
+use crate::products::reduce::Run;
+use goniod_drivers::clock::{Clock, UtcMicros};
+use goniod_drivers::table::DRIVERS;
+use std::path::{Path, PathBuf};
+
+/// A scan and the instrument that is to carry it out.
+#[derive(Debug, Clone, clap::Args)]
+pub struct ScanArgs {
+    /// The scan file.
+    pub scan: PathBuf,
+    /// The instrument file [default: $GONIOD_INSTRUMENT, config/instrument.toml, /etc/goniod/instrument.toml].
+    #[arg(long, value_name = "FILE")]
+    pub instrument: Option<PathBuf>,
+}
+
+// === impl ScanArgs ===
+
+impl ScanArgs {
+    /// Reads and checks everything; warnings are told on the way.
+    pub fn check(&self, output: &Output) -> Result<Checked, Failure> {
+        let instrument = instrument_path(self.instrument.as_deref())?;
+        let drivers = DRIVERS.iter().map(|d| d.name).chain(CAMERA_DRIVERS).map(str::to_owned).collect();
+        let options = Options { drivers, today: today() };
+        let checked = check(&self.scan, &instrument, &options).map_err(bad_input)?;
+        for warning in &checked.warnings {
+            output.warn(&warning.to_string());
+        }
+        Ok(checked)
+    }
+}
+
+/// The instrument file: as given, else the first of the usual places.
+pub fn instrument_path(given: Option<&Path>) -> Result<PathBuf, Failure> {
+    if let Some(path) = given {
+        return Ok(path.to_owned());
+    }
+    if let Some(path) = std::env::var_os("GONIOD_INSTRUMENT") {
+        return Ok(path.into());
+    }
+    let usual = ["config/instrument.toml", "/etc/goniod/instrument.toml"];
+    usual.iter().map(PathBuf::from).find(|p| p.is_file()).ok_or_else(|| {
+        Failure::new(
+            Exit::BadInput,
+            format!("no instrument file: give --instrument FILE, set $GONIOD_INSTRUMENT, or put it at {}", usual.join(" or ")),
+        )
+    })
+}
+
+/// Today, by the system's calendar.
+pub fn today() -> jiff::civil::Date {
+    crate::front::night::stamp(Clock::system().utc()).to_zoned(jiff::tz::TimeZone::UTC).date()
+}
+
+/// A moment given as RFC 3339.
+pub fn moment(text: &str) -> Result<UtcMicros, Failure> {
+    text.parse::<jiff::Timestamp>().map(|t| UtcMicros(t.as_microsecond())).map_err(|_| {
+        Failure::new(Exit::Usage, format!("`{text}` is not a moment; write it as 2026-01-01T18:00:00Z"))
+    })
+}
+
+/// A run opened to be reduced.
+pub fn open_run(path: &Path) -> Result<Run, Failure> {
+    Run::open(path).map_err(|e| Failure::new(Exit::Storage, e.to_string()))
+}
+
+/// All faults of the files, one sentence each.
+fn bad_input(error: ConfigError) -> Failure {
+    let issues = error.issues();
+    let messages =
+        if issues.is_empty() { vec![error.to_string()] } else { issues.iter().map(ToString::to_string).collect() };
+    Failure { exit: Exit::BadInput, messages }
+}

@@ -1,0 +1,86 @@
+//! The command line: one file a command, the same shape in each: `Args`, `run(args, output) -> Outcome`.
+
+pub mod exit;
+pub mod output;
+
+mod check;
+mod export;
+mod input;
+mod plan;
+mod progress;
+mod reduce;
+mod rehearse;
+mod report;
+mod run;
+mod status;
+mod verify;
+
+use clap::{Parser, Subcommand};
+use output::{Outcome, Output};
+use std::process::ExitCode;
+
+/// Runs a video-goniophotometer and gives back the BSDF of the sample with its uncertainty.
+#[derive(Debug, Parser)]
+#[command(name = "goniod", version, about, max_term_width = 100)]
+struct Cli {
+    /// One JSON document on standard output instead of text.
+    #[arg(long, global = true)]
+    json: bool,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Name every mistake in a scan and its instrument, with file, line and column.
+    Check(check::Args),
+    /// Show the steps of a scan and the forecast of time and disk.
+    Plan(plan::Args),
+    /// Measure, in the foreground.
+    Run(run::Args),
+    /// Measure on the simulated bench in virtual time: a night in seconds.
+    Rehearse(rehearse::Args),
+    /// Make all products again from the raw frames of a run.
+    Reduce(reduce::Args),
+    /// Write one product of a run again.
+    Export(export::Args),
+    /// Write the HTML report and the plots of a run again.
+    Report(report::Args),
+    /// Prove a run directory whole.
+    Verify(verify::Args),
+    /// Tell what the runs are doing or how they ended.
+    Status(status::Args),
+}
+
+/// Parses the command line, runs the command and gives its exit code.
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    init_logging();
+    let output = Output { json: cli.json };
+    let outcome = dispatch(cli.command, &output);
+    match outcome {
+        Ok(exit) => exit.into(),
+        Err(failure) => output.failure(&failure).into(),
+    }
+}
+
+fn dispatch(command: Command, output: &Output) -> Outcome {
+    match command {
+        Command::Check(args) => check::run(args, output),
+        Command::Plan(args) => plan::run(args, output),
+        Command::Run(args) => run::run(args, output),
+        Command::Rehearse(args) => rehearse::run(args, output),
+        Command::Reduce(args) => reduce::run(args, output),
+        Command::Export(args) => export::run(args, output),
+        Command::Report(args) => report::run(args, output),
+        Command::Verify(args) => verify::run(args, output),
+        Command::Status(args) => status::run(args, output),
+    }
+}
+
+/// Log lines go to standard error; `GONIOD_LOG` filters them (default: warnings).
+fn init_logging() {
+    let filter = tracing_subscriber::EnvFilter::try_from_env("GONIOD_LOG")
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn"));
+    let _ = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).try_init();
+}

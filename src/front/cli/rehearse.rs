@@ -1,0 +1,46 @@
+//! `goniod rehearse SCAN`: the same run on the simulated bench in virtual time.
+
+use super::input::{ScanArgs, moment};
+use super::output::{Outcome, Output};
+use super::run::{finish, measure, no_runtime};
+use crate::front::bench::{Rehearsal, open_simulated};
+use goniod_drivers::clock::Clock;
+use std::path::PathBuf;
+
+/// Arguments.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    scan: ScanArgs,
+    /// Folder for the run directory.
+    #[arg(long, value_name = "DIR", default_value = "runs/rehearsal")]
+    runs: PathBuf,
+    /// Seed of the bench [default: that of the instrument's [simulation]].
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Sample in the bench [default: `simulated` of the scan].
+    #[arg(long, value_name = "FILE")]
+    sample: Option<PathBuf>,
+    /// When the rehearsed night begins.
+    #[arg(long, value_name = "MOMENT", default_value = "2026-01-01T18:00:00Z")]
+    start: String,
+    /// Measure only; products can be made later with `goniod reduce`.
+    #[arg(long)]
+    no_products: bool,
+}
+
+/// Runs the command.
+pub fn run(args: Args, output: &Output) -> Outcome {
+    let checked = args.scan.check(output)?;
+    let start = moment(&args.start)?;
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .start_paused(true)
+        .build()
+        .map_err(no_runtime)?;
+    let rehearsal = Rehearsal { seed: args.seed, sample: args.sample };
+    let open = |clock| open_simulated(&checked, &rehearsal, clock);
+    let work = measure(&checked, &args.runs, || Clock::starting_at(start), open, output);
+    let (ran, exit) = runtime.block_on(work)?;
+    finish(ran, exit, !args.no_products, output)
+}

@@ -1,0 +1,150 @@
+//! `goniod run SCAN`: measures in the foreground, on the hardware or in real time on a simulated bench.
+
+use super::exit::Exit;
+use super::input::ScanArgs;
+use super::output::{Failure, Outcome, Output};
+use super::progress::{Progress, duration};
+use crate::config::check::Checked;
+use crate::control::events::EventBus;
+use crate::control::sequencer::verbs::listen_to_signals;
+use crate::front::bench::{BenchError, Opened, Rehearsal, is_simulated, open_hardware, open_simulated};
+use crate::front::night::{self, exit_of};
+use crate::products::make::{Made, make_all};
+use goniod_drivers::clock::Clock;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use tokio::sync::mpsc;
+
+/// Verbs that may wait for the sequencer.
+const VERBS: usize = 8;
+
+/// Arguments.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    scan: ScanArgs,
+    /// Folder for the run directory [default: `runs_dir` of the instrument file].
+    #[arg(long, value_name = "DIR")]
+    runs: Option<PathBuf>,
+    /// Measure only; products can be made later with `goniod reduce`.
+    #[arg(long)]
+    no_products: bool,
+}
+
+/// What a run gives back.
+#[derive(Debug, Serialize)]
+pub struct Ran {
+    run: PathBuf,
+    ending: String,
+    stored: u32,
+    missing: u32,
+    planned: u32,
+    rejected: u32,
+    safe: bool,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    message: Option<String>,
+    forecast_s: f64,
+    took_s: f64,
+    products: Vec<PathBuf>,
+}
+
+/// Runs the command.
+pub fn run(args: Args, output: &Output) -> Outcome {
+    let checked = args.scan.check(output)?;
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(no_runtime)?;
+    let runs = args.runs.unwrap_or_else(|| checked.instrument.runs_dir.clone());
+    let open = |clock| {
+        if is_simulated(&checked.instrument)? {
+            open_simulated(&checked, &Rehearsal::default(), clock)
+        } else {
+            open_hardware(&checked, clock)
+        }
+    };
+    let work = measure(&checked, &runs, Clock::system, open, output);
+    let (ran, exit) = runtime.block_on(work)?;
+    finish(ran, exit, !args.no_products, output)
+}
+
+/// Opens the bench, makes the run directory and measures, on the runtime it is called on.
+pub async fn measure(
+    checked: &Checked,
+    runs: &Path,
+    clock: impl FnOnce() -> Clock,
+    open: impl FnOnce(Clock) -> Result<Opened, BenchError>,
+    output: &Output,
+) -> Result<(Ran, Exit), Failure> {
+    let plan = night::plan(checked)?;
+    let clock = clock();
+    let mut opened = open(clock).map_err(|e| Failure::new(exit_of_bench(&e), e.to_string()))?;
+    let night = night::prepare(checked, plan, runs, clock, opened.seed)?;
+    output.say(&format!("run {}", night.path.display()));
+    let events = EventBus::default();
+    let progress = Progress::begin(&night.plan, events.subscribe(), output.json);
+    let (sender, verbs) = mpsc::channel(VERBS);
+    listen_to_signals(sender)
+        .map_err(|e| Failure::new(Exit::Failed, format!("SIGINT and SIGTERM cannot be listened to: {e}")))?;
+    let outcome = night::measure(checked, &night, &mut opened, clock, verbs, &events).await;
+    progress.end();
+    let outcome = outcome?;
+    let ran = Ran {
+        run: night.path,
+        ending: format!("{:?}", outcome.ending).to_lowercase(),
+        stored: outcome.summary.stored,
+        missing: outcome.summary.missing,
+        planned: outcome.summary.planned,
+        rejected: outcome.summary.rejected,
+        safe: outcome.is_safe(),
+        message: outcome.message.clone(),
+        forecast_s: night.plan.forecast.total_s(),
+        took_s: clock.elapsed().as_secs_f64(),
+        products: Vec::new(),
+    };
+    Ok((ran, exit_of(&outcome)))
+}
+
+/// Makes the products of a run that has frames and says how everything went.
+pub fn finish(mut ran: Ran, exit: Exit, products: bool, output: &Output) -> Outcome {
+    let mut made: Option<Made> = None;
+    if products && ran.stored > 0 && matches!(exit, Exit::Done | Exit::Incomplete) {
+        let run = super::input::open_run(&ran.run)?;
+        let result = make_all(&run).map_err(|e| Failure::new(Exit::Storage, e.to_string()))?;
+        ran.products = result.files.clone();
+        made = Some(result);
+    }
+    output.result(exit, &ran, || text(&ran, made.as_ref()))
+}
+
+fn text(ran: &Ran, made: Option<&Made>) -> String {
+    let mut lines = vec![format!(
+        "{}: {} stored, {} missing, {} not done, {} rejected and retaken; bench {}",
+        ran.ending,
+        ran.stored,
+        ran.missing,
+        ran.planned,
+        ran.rejected,
+        if ran.safe { "safe" } else { "NOT PROVEN SAFE, look at it" }
+    )];
+    lines.push(format!("took {}, forecast {}", duration(ran.took_s), duration(ran.forecast_s)));
+    lines.extend(ran.message.clone());
+    if let Some(made) = made {
+        lines.push(String::new());
+        lines.extend(made.headline.iter().cloned());
+        lines.push(String::new());
+        lines.push(format!("run directory  {}", ran.run.display()));
+        lines.extend(made.files.iter().map(|f| format!("               {}", f.display())));
+    }
+    lines.join("\n")
+}
+
+/// Bad files are bad input, everything else is the bench.
+pub fn exit_of_bench(e: &BenchError) -> Exit {
+    match e {
+        BenchError::Device(_) => Exit::Device,
+        _ => Exit::BadInput,
+    }
+}
+
+/// A runtime that cannot be made.
+pub fn no_runtime(e: std::io::Error) -> Failure {
+    Failure::new(Exit::Failed, format!("the runtime cannot be started: {e}"))
+}

@@ -1,0 +1,124 @@
+//! One run from checked files to a closed run directory: plan, document, directory, sequencer.
+
+use super::bench::Opened;
+use super::cli::exit::Exit;
+use super::cli::output::Failure;
+use crate::archive::{ArchiveError, NewRun, RunDir};
+use crate::config::check::Checked;
+use crate::control::events::EventBus;
+use crate::control::plan::Plan;
+use crate::control::plan::build::build;
+use crate::control::plan::document::{INPUTS, KeptFile, RunDocument};
+use crate::control::plan::forecast::Timing;
+use crate::control::sequencer::layout::layout;
+use crate::control::sequencer::run::{Job, Outcome, run};
+use crate::control::sequencer::state::Ending;
+use crate::control::sequencer::verbs::Verb;
+use goniod_drivers::clock::{Clock, UtcMicros};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use tokio::sync::mpsc;
+
+/// A run that is about to begin.
+pub struct Night {
+    /// The plan.
+    pub plan: Plan,
+    /// The run directory, made.
+    pub run: Arc<RunDir>,
+    /// Its path.
+    pub path: PathBuf,
+}
+
+/// The plan of checked files.
+///
+/// # Errors
+/// A scan that cannot be planned, as bad input.
+pub fn plan(checked: &Checked) -> Result<Plan, Failure> {
+    build(&checked.instrument, &checked.scan, &Timing::default()).map_err(|e| Failure::new(Exit::BadInput, e.to_string()))
+}
+
+/// Makes the run directory for a plan.
+///
+/// # Errors
+/// A folder that cannot be written, a full disk, a run of this name that exists: storage failures.
+pub fn prepare(checked: &Checked, plan: Plan, runs_dir: &Path, clock: Clock, seed: Option<u64>) -> Result<Night, Failure> {
+    let run_id = run_id(&checked.scan.name, clock.utc(), &plan.hash);
+    let files = checked.files.iter();
+    let document = RunDocument {
+        run_id: run_id.clone(),
+        goniod_version: env!("CARGO_PKG_VERSION").to_owned(),
+        simulated_seed: seed,
+        started: stamp(clock.utc()).to_string(),
+        files: files
+            .clone()
+            .map(|f| KeptFile { role: f.role.clone(), name: f.name.clone(), sha256: f.sha256.clone() })
+            .collect(),
+        scan: checked.scan.clone(),
+        instrument: checked.instrument.clone(),
+        calibrations: checked.calibrations.clone(),
+        plan: plan.clone(),
+    };
+    let text = toml::to_string(&document)
+        .map_err(|e| Failure::new(Exit::Failed, format!("the plan cannot be written as TOML: {e}")))?;
+    let kept: Vec<(PathBuf, Vec<u8>)> =
+        files.map(|f| (Path::new(INPUTS).join(&f.name), f.bytes.clone())).collect();
+    let shape = layout(&plan, &checked.instrument.camera).map_err(|e| Failure::new(Exit::BadInput, e.to_string()))?;
+    let new = NewRun { run_id: &run_id, plan_toml: &text, files: &kept, layout: &shape };
+    let run = RunDir::create(runs_dir, &new).map_err(storage)?;
+    Ok(Night { plan, run: Arc::new(run), path: runs_dir.join(run_id) })
+}
+
+/// Carries the plan out.
+///
+/// # Errors
+/// A journal that cannot be read at the start; everything later is in the outcome.
+pub async fn measure(
+    checked: &Checked,
+    night: &Night,
+    opened: &mut Opened,
+    clock: Clock,
+    verbs: mpsc::Receiver<Verb>,
+    events: &EventBus,
+) -> Result<Outcome, Failure> {
+    let instrument = &checked.instrument;
+    let job = Job {
+        plan: &night.plan,
+        gains: instrument.camera.iter().map(|(name, c)| (name.clone(), c.gain)).collect(),
+        reserved_rows: checked.calibrations.iter().map(|(n, c)| (n.clone(), c.geometry.reserved_rows)).collect(),
+        safe_state: instrument.safe_state.clone(),
+        attempts: Job::ATTEMPTS,
+        retries: Job::RETRIES,
+    };
+    run(&job, &mut opened.bench, Arc::clone(&night.run), clock, verbs, events).await.map_err(storage)
+}
+
+/// The exit code of an outcome.
+pub fn exit_of(outcome: &Outcome) -> Exit {
+    match outcome.ending {
+        Ending::Completed if outcome.summary.missing > 0 => Exit::Incomplete,
+        Ending::Completed if outcome.is_safe() => Exit::Done,
+        Ending::Stopped | Ending::Aborted => Exit::Stopped,
+        Ending::DiskFull | Ending::ArchiveFailed => Exit::Storage,
+        _ => Exit::Device,
+    }
+}
+
+/// An archive error as a failure of a command.
+pub fn storage(e: ArchiveError) -> Failure {
+    Failure::new(Exit::Storage, e.to_string())
+}
+
+/// A stamp as a calendar time.
+pub fn stamp(utc: UtcMicros) -> jiff::Timestamp {
+    jiff::Timestamp::from_microsecond(utc.0).unwrap_or(jiff::Timestamp::UNIX_EPOCH)
+}
+
+/// `20260101T180000Z-venetian-blind-1a2b3c4d`: when, what, which plan.
+fn run_id(name: &str, utc: UtcMicros, hash: &str) -> String {
+    let words = name.to_lowercase();
+    let parts = words.split(|c: char| !c.is_ascii_alphanumeric()).filter(|w| !w.is_empty());
+    let mut slug = parts.collect::<Vec<_>>().join("-");
+    slug.truncate(40);
+    let when = stamp(utc).strftime("%Y%m%dT%H%M%SZ").to_string();
+    format!("{when}-{}-{}", slug.trim_end_matches('-'), hash.get(..8).unwrap_or(hash))
+}

@@ -1,0 +1,166 @@
+//! What a run kept, read back: plan document, spectra, journal.
+
+use crate::archive::rows::FrameRow;
+use crate::archive::rundir::PLAN;
+use crate::archive::{ArchiveError, RunDir};
+use crate::config::curves::{Curves, reflection_factors};
+use crate::control::plan::document::RunDocument;
+use crate::engine::spectra::curve::Curve;
+use crate::products::error::{ProductError, Result, engine};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+const D65: &str = include_str!("../../../config/spectra/source/cie_d65.csv");
+const PHOTOPIC: &str = include_str!("../../../config/spectra/observer/cie1924_v_1nm.csv");
+const G173_DIRECT: &str = include_str!("../../../config/spectra/solar/astm_g173_direct.csv");
+
+/// A run opened to be reduced.
+pub struct Run {
+    /// The directory.
+    pub dir: RunDir,
+    /// Everything resolved.
+    pub document: RunDocument,
+    /// Stored frames by step number.
+    pub frames: BTreeMap<u32, FrameRow>,
+    /// Spectra of the instrument.
+    pub spectra: InstrumentSpectra,
+    /// Standard spectra.
+    pub standards: Standards,
+}
+
+/// Spectra that the instrument file names.
+#[derive(Debug, Clone)]
+pub struct InstrumentSpectra {
+    /// Relative spectral power of the lamp.
+    pub lamp: Curve,
+    /// Reflectance of the mirror.
+    pub mirror: Curve,
+    /// Internal transmittance at 1 mm by glass.
+    pub glasses: BTreeMap<String, Curve>,
+    /// Reflection factor P by glass.
+    pub reflection_factors: BTreeMap<String, f64>,
+    /// Responsivity by camera, one curve a channel.
+    pub responsivity: BTreeMap<String, Vec<Curve>>,
+    /// Value of the reflecting diffuser.
+    pub reflection_reference: Option<Curve>,
+    /// Value of the transmitting diffuser.
+    pub transmission_reference: Option<Curve>,
+}
+
+/// Standard spectra that the totals are weighted with.
+#[derive(Debug, Clone)]
+pub struct Standards {
+    /// CIE D65.
+    pub d65: Curve,
+    /// V(lambda), CIE 1924.
+    pub v: Curve,
+    /// ASTM G173 direct.
+    pub g173_direct: Curve,
+}
+
+// === impl Run ===
+
+impl Run {
+    /// Opens the run directory at `path`.
+    ///
+    /// # Errors
+    /// Not a run, a plan of another version, a kept file that is damaged.
+    pub fn open(path: &Path) -> Result<Run> {
+        let dir = RunDir::open(path)?;
+        let text = dir.plan_toml()?;
+        let document: RunDocument = toml::from_str(&text).map_err(|e| ProductError::Plan {
+            path: path.join(PLAN),
+            message: e.message().to_owned(),
+        })?;
+        let frames = dir.with(|journal| journal.frames())?.into_iter().map(|f| (f.step, f)).collect();
+        let spectra = InstrumentSpectra::of(path, &document)?;
+        Ok(Run { dir, document, frames, spectra, standards: Standards::load()? })
+    }
+
+    /// Microseconds since 1970 of the first stored frame of a view; `None` if it has none.
+    pub fn view_time(&self, view: u32) -> Option<i64> {
+        let steps = self.document.plan.steps.iter().filter(|s| s.view == view);
+        steps.filter_map(|s| self.frames.get(&s.number)).map(|f| f.utc_us).min()
+    }
+}
+
+// === impl Standards ===
+
+impl Standards {
+    /// The shipped tables.
+    ///
+    /// # Errors
+    /// None on a sound build; the tables are part of the program.
+    pub fn load() -> Result<Standards> {
+        let curve = |name: &str, text: &str| {
+            let curves = Curves::parse(text).map_err(|e| ProductError::Nothing(format!("the table {name}: {e}")))?;
+            first(name, &curves)
+        };
+        Ok(Standards {
+            d65: curve("CIE D65", D65)?,
+            v: curve("V(lambda)", PHOTOPIC)?,
+            g173_direct: curve("ASTM G173", G173_DIRECT)?,
+        })
+    }
+}
+
+// === impl InstrumentSpectra ===
+
+impl InstrumentSpectra {
+    fn of(path: &Path, document: &RunDocument) -> Result<InstrumentSpectra> {
+        let text = |role: &str| kept_text(path, document, role);
+        let curves = |role: &str| -> Result<Curves> {
+            Curves::parse(&text(role)?).map_err(|message| ProductError::Input {
+                run: path.to_owned(),
+                role: role.to_owned(),
+                message,
+            })
+        };
+        let one = |role: &str| first(role, &curves(role)?);
+        let reference = |role: &str| document.input(role).map(|_| one(role)).transpose();
+        let mut responsivity = BTreeMap::new();
+        for name in document.calibrations.keys() {
+            let role = format!("responsivity.{name}");
+            let table = curves(&role)?;
+            let channels = table.columns.iter().map(|c| curve(&role, &table.wavelength_nm, c));
+            responsivity.insert(name.clone(), channels.collect::<Result<Vec<Curve>>>()?);
+        }
+        let glass_table = curves("filter_wheel.glasses")?;
+        let glasses = glass_table.names.iter().zip(&glass_table.columns);
+        let factors = reflection_factors(&text("filter_wheel.glass_parameters")?).map_err(|message| {
+            ProductError::Input { run: path.to_owned(), role: "filter_wheel.glass_parameters".into(), message }
+        })?;
+        Ok(InstrumentSpectra {
+            lamp: one("lamp.spectrum")?,
+            mirror: one("optics.mirror_reflectance")?,
+            glasses: glasses
+                .map(|(name, c)| Ok((name.clone(), curve(name, &glass_table.wavelength_nm, c)?)))
+                .collect::<Result<_>>()?,
+            reflection_factors: factors,
+            responsivity,
+            reflection_reference: reference("reference.reflection.spectrum")?,
+            transmission_reference: reference("reference.transmission.spectrum")?,
+        })
+    }
+}
+
+fn kept_text(path: &Path, document: &RunDocument, role: &str) -> Result<String> {
+    let missing = |message: String| ProductError::Input { run: path.to_owned(), role: role.to_owned(), message };
+    let name = document.input(role).ok_or_else(|| missing("is not there".into()))?;
+    std::fs::read_to_string(path.join(name)).map_err(|e| missing(format!("cannot be read ({e})")))
+}
+
+fn first(name: &str, curves: &Curves) -> Result<Curve> {
+    let column = curves.columns.first().map_or(&[][..], Vec::as_slice);
+    curve(name, &curves.wavelength_nm, column)
+}
+
+fn curve(name: &str, wavelength_nm: &[f64], values: &[f64]) -> Result<Curve> {
+    Curve::new(wavelength_nm.to_vec(), values.to_vec()).map_err(engine(format!("the spectrum {name}")))
+}
+
+impl From<std::io::Error> for ProductError {
+    fn from(e: std::io::Error) -> ProductError {
+        ProductError::Archive(ArchiveError::io("read or write", Path::new("products"), &e))
+    }
+}

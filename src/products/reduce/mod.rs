@@ -1,0 +1,71 @@
+//! Run -> BSDF: raw frames of a run directory become radiance rates, readings, band values and totals.
+//!
+//! - [`inputs`]: what the run kept becomes the engine's values
+//! - [`optics`]: cameras, lenses and level tables; [`readings`]: spectral kernels of every band and channel
+//! - [`views`]: brackets of frames -> patch means; [`columns`]: sample over reference, bands into totals
+
+mod columns;
+mod inputs;
+mod optics;
+mod readings;
+mod views;
+
+pub use inputs::{Run, Standards};
+
+use super::error::Result;
+use crate::engine::bsdf::set::BsdfSet;
+use serde::Serialize;
+
+/// Result of a reduction.
+#[derive(Debug, Clone)]
+pub struct Reduction {
+    /// The BSDF with uncertainty.
+    pub set: BsdfSet,
+    /// What a reader of the report should know.
+    pub facts: Facts,
+}
+
+/// What happened on the way, for the report.
+#[derive(Debug, Clone, Default, Serialize)]
+pub struct Facts {
+    /// Sample brackets that have frames.
+    pub views_reduced: usize,
+    /// Sample brackets without any frame.
+    pub views_missing: usize,
+    /// Largest change of a reference from one view to the next, relative.
+    pub largest_reference_change: Option<f64>,
+    /// Share of the patches of the last quantity that lie mostly below the floor, 0 to 1.
+    pub below_floor_share: f64,
+    /// Largest saturated share of a patch.
+    pub largest_saturated: f64,
+    /// Dark rate by camera, relative exposure per second: median, hot pixels masked.
+    pub darks: Vec<DarkFacts>,
+    /// Root mean square of each part of the uncertainty over the patches of the headline quantity, relative to their mean.
+    pub budget: Vec<(String, f64)>,
+    /// Remarks for the report.
+    pub notes: Vec<String>,
+}
+
+/// Dark signal of one camera.
+#[derive(Debug, Clone, Serialize)]
+pub struct DarkFacts {
+    /// Camera.
+    pub camera: String,
+    /// Standard uncertainty of a pixel's dark rate, relative exposure per second.
+    pub u_rate: f64,
+    /// Pixels masked as hot.
+    pub hot_pixels: usize,
+    /// Pixels whose dark stayed unreadable.
+    pub unreadable_pixels: usize,
+}
+
+/// Reduces a run: deterministic for equal inputs, on any number of threads.
+///
+/// # Errors
+/// [`super::error::ProductError`]: a damaged or foreign run, inputs that the engine refuses, a run without frames.
+pub fn reduce(run: &Run) -> Result<Reduction> {
+    let cameras = optics::cameras(run)?;
+    let readings = readings::readings(run)?;
+    let views = views::reduce_views(run, &cameras)?;
+    columns::columns(run, &readings, &views)
+}
