@@ -71,7 +71,10 @@ pub fn readings(run: &Run) -> Result<Readings> {
                 kernel,
             });
         }
-        bands.push((name.clone(), slot.interval_nm.unwrap_or_default(), targets::band(&lamp, &filter)));
+        // Inside its stated interval only: what a stack leaks elsewhere is not the band, and no camera may see it.
+        let interval_nm = slot.interval_nm.unwrap_or_default();
+        let band = targets::band(&targets::radiometric(&grid, &lamp, interval_nm), &filter);
+        bands.push((name.clone(), interval_nm, band));
     }
     let quantities = quantities(run, &grid, &lamp, &readings, bands)?;
     Ok(Readings { readings, quantities })
