@@ -114,6 +114,8 @@ pub struct Geometry {
     pub roll_deg: f64,
     /// Rows from the top that carry no picture.
     pub reserved_rows: usize,
+    /// Standard deviation of the point spread of lens and low-pass filter; 0 = not known to spread.
+    pub blur_px: f64,
 }
 
 /// VC as an even polynomial of the zenith angle: signal = scene * (1 + c2 t^2 + c4 t^4 + …), t = theta / 90 degrees.

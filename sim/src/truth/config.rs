@@ -192,6 +192,8 @@ pub struct FisheyeFile {
     pub pupil_diameter_mm: f64,
     /// Walk of the pupil along the axis: w2 t^2 + w4 t^4 + …, mm.
     pub pupil_walk_mm: Vec<f64>,
+    /// Standard deviation of the point spread of lens and low-pass filter, pixels.
+    pub blur_px: f64,
 }
 
 /// Response of the sensor.

@@ -161,6 +161,7 @@ mod tests {
             vignetting: vec![],
             pupil_diameter_mm: 0.45,
             pupil_walk_mm: walk,
+            blur_px: 0.0,
         }
     }
 

@@ -7,10 +7,12 @@
 //! - [`mirror`]: pixel to direction through fisheye and hemi-ellipsoid, by tracing rays
 //! - [`law`], [`klems`], [`tree`], [`block`]: angular laws of samples; [`sample`]: their files
 //! - [`response`], [`rng`]: exposure to level, noise
+//! - [`blur`]: the lens's point spread
 //! - [`raster`]: what a camera's pixels see, cached; [`photo`]: photographs
 //! - [`expect`]: the true answers, without any pixel
 
 pub mod block;
+pub mod blur;
 pub mod config;
 pub mod draw;
 pub mod error;

@@ -3,6 +3,7 @@
 //! Exposure of channel k at a pixel: x = t E cos(theta_i) factor sum_c g_c(u) K(c, k, slot), with
 //! K = int e F rho_m S_c r_k dlambda over 300-1700 nm, e the lamp's spectrum normalised to one.
 
+use super::blur::Blur;
 use super::config::{BenchFile, CameraFile};
 use super::draw::{CameraDraw, reference_factors};
 use super::error::Result;
@@ -166,7 +167,10 @@ impl Photographer {
     /// What the pixels see, traced at first use.
     pub fn raster(&self) -> &Raster {
         let (file, lens) = (&self.file, &self.file.fisheye);
-        self.raster.get_or_init(|| Raster::new(&self.collector, file.width_px, file.height_px, lens.reserved_rows))
+        self.raster.get_or_init(|| {
+            let blur = Blur::new(lens.blur_px);
+            Raster::new(&self.collector, [file.width_px, file.height_px], lens.reserved_rows, blur)
+        })
     }
 
     /// Channel of a pixel: 0, 1, 2 = R, G, B of the mosaic; 0 without mosaic.

@@ -1,5 +1,6 @@
 //! What the pixels of one camera see: emergent directions once a camera, BSDF fields once a pose.
 
+use super::blur::Blur;
 use super::law::{Disc, Emission};
 use super::mirror::Collector;
 use super::vector::V3;
@@ -16,6 +17,10 @@ pub struct Raster {
     u: Vec<[f32; 3]>,
     /// Factor on radiance (vignetting, lit part); 0 beyond the hemisphere.
     pub factor: Vec<f32>,
+    blur: Blur,
+    /// What the point spread leaves of a picture that is one inside the hemisphere: divided out, so that the rim of a
+    /// uniform field stays as bright as its middle (what is lost there is part of the vignetting).
+    rim: Vec<f32>,
 }
 
 /// BSDF of one component over the pixels, 1/sr.
@@ -38,7 +43,7 @@ const FAINT: f32 = 1e-4;
 
 impl Raster {
     /// Traces all pixels below the reserved rows.
-    pub fn new(collector: &Collector, width: usize, height: usize, reserved_rows: usize) -> Raster {
+    pub fn new(collector: &Collector, [width, height]: [usize; 2], reserved_rows: usize, blur: Blur) -> Raster {
         let mut u = vec![[0.0f32; 3]; width * height];
         let mut factor = vec![0.0f32; width * height];
         u.par_chunks_mut(width).zip(factor.par_chunks_mut(width)).enumerate().skip(reserved_rows).for_each(
@@ -51,7 +56,9 @@ impl Raster {
                 }
             },
         );
-        Raster { width, height, reserved_rows, u, factor }
+        let inside: Vec<f32> = factor.iter().map(|f| if *f > 0.0 { 1.0 } else { 0.0 }).collect();
+        let rim = if blur.is_none() { Vec::new() } else { blur.spread(&inside, width) };
+        Raster { width, height, reserved_rows, u, factor, blur, rim }
     }
 
     /// Emergent direction of a pixel in the camera frame; `None` beyond the hemisphere.
@@ -64,11 +71,50 @@ impl Raster {
     pub fn field(&self, collector: &Collector, emission: &Emission, turned: bool) -> Field {
         match emission {
             Emission::Uniform(g) => Field::Uniform(*g),
-            Emission::Disc(disc) => Field::Sparse(self.disc(collector, disc, turned)),
+            Emission::Disc(disc) => Field::Sparse(self.spread_sparse(self.disc(collector, disc, turned))),
             Emission::Lobe { .. } | Emission::Table(_) => {
-                Field::Dense(self.dense(collector, &|u| emission.at(if turned { u.turned() } else { u })))
+                let sharp = self.dense(collector, &|u| emission.at(if turned { u.turned() } else { u }));
+                Field::Dense(self.spread_dense(sharp))
             }
         }
+    }
+
+    fn spread_dense(&self, sharp: Vec<f32>) -> Vec<f32> {
+        if self.blur.is_none() {
+            return sharp;
+        }
+        let mut spread = self.blur.spread(&sharp, self.width);
+        spread.par_iter_mut().zip(&self.rim).for_each(|(v, rim)| *v = if *rim > 0.0 { *v / rim } else { 0.0 });
+        spread
+    }
+
+    /// The same for a few lit pixels: their box, widened by the reach of the point spread.
+    fn spread_sparse(&self, lit: Vec<(u32, f64)>) -> Vec<(u32, f64)> {
+        let reach = self.blur.radius();
+        let place = |index: u32| (index as usize % self.width, index as usize / self.width);
+        let columns = lit.iter().map(|(i, _)| place(*i).0);
+        let rows = lit.iter().map(|(i, _)| place(*i).1);
+        let (Some(left), Some(right)) = (columns.clone().min(), columns.max()) else { return lit };
+        let (Some(top), Some(bottom)) = (rows.clone().min(), rows.max()) else { return lit };
+        if self.blur.is_none() {
+            return lit;
+        }
+        let (left, top) = (left.saturating_sub(reach), top.saturating_sub(reach).max(self.reserved_rows));
+        let (right, bottom) = ((right + reach).min(self.width - 1), (bottom + reach).min(self.height - 1));
+        let width = right - left + 1;
+        let mut boxed = vec![0.0f32; width * (bottom + 1 - top)];
+        for (index, g) in &lit {
+            let (column, row) = place(*index);
+            boxed[(row - top) * width + column - left] = *g as f32;
+        }
+        let spread = self.blur.spread(&boxed, width).into_iter().enumerate();
+        spread
+            .filter_map(|(i, v)| {
+                let index = (top + i / width) * self.width + left + i % width;
+                let rim = *self.rim.get(index)?;
+                (v > 0.0 && rim > 0.0).then(|| (index as u32, f64::from(v / rim)))
+            })
+            .collect()
     }
 
     /// Pixels that see a disc, sampled as fine as its soft edge needs.

@@ -16,8 +16,9 @@ pub struct Budget {
     pub scale: f64,
     /// Lamp drift between sample and reference.
     pub drift: f64,
-    /// Change for a shift of direction by one standard uncertainty along columns and rows, signed.
-    pub geometry: [f64; 2],
+    /// Change for a shift of direction by one standard uncertainty along columns and rows, and what the point spread may
+    /// have moved over the patch's border; signed.
+    pub geometry: [f64; 3],
     /// Incident angle of the holder through cos(theta_i).
     pub incidence: f64,
     /// Vignetting (absolute mode only; a ratio cancels it).

@@ -39,7 +39,7 @@ pub fn hemispherical(basis: &AngleBasis, column: &[PatchBsdf]) -> Result<Hemisph
         return Ok(Hemispherical { value: f64::NAN, u: f64::NAN, lower_bound: 0.0, measured: 0.0, complete: false });
     }
     let (mut sum, mut filled, mut weight, mut random) = (0.0, 0.0, 0.0, 0.0);
-    let (mut common, mut geometry) = ([0.0; 8], [0.0; 2]);
+    let (mut common, mut geometry) = ([0.0; 8], [0.0; 3]);
     for (i, (p, l)) in column.iter().zip(&lambda).enumerate() {
         let ring = basis.place(i).map_or(0, |(r, _)| r);
         let known = if p.bsdf.is_nan() { 0.0 } else { p.coverage.clamp(0.0, 1.0) };
@@ -139,8 +139,8 @@ mod tests {
     fn geometry_moves_light_but_keeps_the_sum() {
         let basis = AngleBasis::klems_full();
         let mut column = lambertian(0.4);
-        column[40].budget.geometry = [0.3, 0.0];
-        column[41].budget.geometry = [-0.3, 0.0];
+        column[40].budget.geometry = [0.3, 0.0, 0.0];
+        column[41].budget.geometry = [-0.3, 0.0, 0.0];
         let quiet = hemispherical(&basis, &lambertian(0.4)).unwrap().u;
         assert!((hemispherical(&basis, &column).unwrap().u - quiet).abs() < 1e-12);
         assert!(column[40].budget.total() > 0.29);

@@ -40,11 +40,15 @@ pub struct AbsoluteTerms {
     pub drift_relative_u: f64,
 }
 
+/// Correlation of the response's residual between two brackets.
+const SHARED_LEVELS: f64 = 0.5;
+
 /// Ratio mode: BSDF = (X_sample / X_reference) BSDF_ref cos(theta_ref) / cos(theta_i), patch by patch. Mirror, lens,
 /// responsivity and irradiance cancel. A patch without a positive reference is unknown.
 ///
 /// The response residual is one error of one curve: where sample and reference were read at the same level it
-/// cancels. With relative effects a and b the smaller is taken as common, so what remains is sqrt(|a^2 - b^2|).
+/// cancels. Two brackets share their levels
+/// only in part: of the effects a and b half is taken as common.
 ///
 /// # Errors
 /// Lists of different length; grazing or backward incidence; a reference BSDF that is not positive.
@@ -70,11 +74,11 @@ fn ratio_patch(s: &PatchMean, r: &PatchMean, scale: f64, terms: &RatioTerms) -> 
     let bsdf = k * s.rate;
     let (a, b) = (s.u_response * k, r.u_response / r.rate * bsdf);
     let incidence = (terms.theta.tan() * terms.theta_u).hypot(terms.reference_theta.tan() * terms.theta_u);
-    let geometry = [0, 1].map(|i| k * s.u_geometry[i] - bsdf * r.u_geometry[i] / r.rate);
+    let geometry = [0, 1, 2].map(|i| k * s.u_geometry[i] - bsdf * r.u_geometry[i] / r.rate);
     let budget = Budget {
         random: (k * s.u_random).hypot(bsdf * r.u_random / r.rate),
         floor: (k * s.u_floor).hypot(bsdf * r.u_floor / r.rate),
-        response: (a * a - b * b).abs().sqrt(),
+        response: (a * a + b * b - 2.0 * SHARED_LEVELS * a * b).max(0.0).sqrt(),
         scale: bsdf * terms.reference_relative_u,
         drift: bsdf * terms.drift_relative_u,
         geometry,

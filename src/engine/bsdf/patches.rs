@@ -13,9 +13,9 @@ pub struct PatchMean {
     pub u_floor: f64,
     /// From the residual of the response curve, residual x s(N) x L, fully correlated.
     pub u_response: f64,
-    /// Change for a shift by one standard uncertainty of direction along columns and rows; signed, because what one
-    /// patch loses its neighbour gains.
-    pub u_geometry: [f64; 2],
+    /// Change for a shift by one standard uncertainty of direction along columns and rows, and what the point spread may
+    /// have moved over the borders; signed, because what one patch loses its neighbour gains.
+    pub u_geometry: [f64; 3],
     /// Share of the patch's projected solid angle that was measured.
     pub measured: f64,
     /// Share below the floor: black even in the longest exposure.
@@ -47,7 +47,7 @@ impl PatchMean {
             u_random: 0.0,
             u_floor: 0.0,
             u_response: 0.0,
-            u_geometry: [0.0; 2],
+            u_geometry: [0.0; 3],
             measured: 0.0,
             below_floor: 0.0,
             missing: 0.0,
@@ -72,7 +72,7 @@ impl PatchMean {
             u_random: ((1.0 - weight) * self.u_random).hypot(weight * other.u_random),
             u_floor: mix(self.u_floor, other.u_floor),
             u_response: mix(self.u_response, other.u_response),
-            u_geometry: [0, 1].map(|k| mix(self.u_geometry[k], other.u_geometry[k])),
+            u_geometry: [0, 1, 2].map(|k| mix(self.u_geometry[k], other.u_geometry[k])),
             measured: mix(self.measured, other.measured),
             below_floor: mix(self.below_floor, other.below_floor),
             missing: mix(self.missing, other.missing),

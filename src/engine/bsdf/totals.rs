@@ -54,7 +54,11 @@ fn total(w: &Weights, readings: &[PatchBsdf]) -> PatchBsdf {
         response: cautious(|p| p.budget.response),
         scale: w.correlated(&of(|p| p.budget.scale)).abs(),
         drift: cautious(|p| p.budget.drift),
-        geometry: [w.correlated(&of(|p| p.budget.geometry[0])), w.correlated(&of(|p| p.budget.geometry[1]))],
+        geometry: [
+            w.correlated(&of(|p| p.budget.geometry[0])),
+            w.correlated(&of(|p| p.budget.geometry[1])),
+            w.correlated(&of(|p| p.budget.geometry[2])),
+        ],
         incidence: w.correlated(&of(|p| p.budget.incidence)).abs(),
         vignetting: w.correlated(&of(|p| p.budget.vignetting)).abs(),
         spectral: w.spectral(&y, &noise),

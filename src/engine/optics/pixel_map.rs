@@ -41,6 +41,8 @@ pub struct PixelMapSpec {
     pub flipped: bool,
     /// Standard uncertainty of emergent directions, degrees.
     pub direction_u_deg: f64,
+    /// Standard deviation of the point spread of lens and low-pass filter, pixels; 0 = none.
+    pub blur_px: f64,
     /// c2, c4, … of VC = 1 + c2 t^2 + c4 t^4 + …, t = theta_c / 90 degrees.
     pub vignetting: Vec<f64>,
 }
@@ -56,13 +58,15 @@ pub(crate) struct Part {
     pub weight: f64,
 }
 
-/// Change of a pixel's share of a patch for a shift by one standard uncertainty along columns and rows.
+/// Change of a pixel's share of a patch for a shift by one standard uncertainty along columns and rows, and for the
+/// point spread being applied once more.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Edge {
     pub column: u32,
     pub slot: u32,
     pub gx: f64,
     pub gy: f64,
+    pub blur: f64,
 }
 
 /// Ranges of one row.
@@ -87,6 +91,19 @@ pub struct PixelMap {
     in_frame: Vec<f64>,
     sum_solid: f64,
     sum_projected: f64,
+}
+
+/// How far shifts and point spread reach, in pixels.
+#[derive(Debug, Clone, Copy)]
+struct Reach {
+    /// Standard uncertainty of direction, radians.
+    u_rad: f64,
+    /// Shift for the first difference.
+    shift: usize,
+    /// Shift for the second difference.
+    step: usize,
+    /// Factor from the second difference to the effect of the point spread: variance / (2 step^2); 0 = none.
+    blur: f64,
 }
 
 /// Which patches each pixel sees, while the map is being made.
@@ -131,6 +148,10 @@ impl PixelMap {
             let allowed = "it must be zero or positive";
             return Err(EngineError::Parameter { name: "direction_u_deg", value: u, allowed });
         }
+        if !(spec.blur_px >= 0.0 && spec.blur_px < 16.0) {
+            let allowed = "it must lie between 0 and 16";
+            return Err(EngineError::Parameter { name: "blur_px", value: spec.blur_px, allowed });
+        }
         let path = Path::of(spec.fisheye, spec.ellipsoid, &spec.basis, spec.flipped);
         let cover = Cover::of(spec, &path);
         let mut map = PixelMap {
@@ -146,9 +167,9 @@ impl PixelMap {
             sum_solid: 0.0,
             sum_projected: 0.0,
         };
-        let shift = (u.to_radians() / path.k()).round().max(1.0) as usize;
+        let reach = Reach::of(u.to_radians(), path.k(), spec.blur_px);
         for row in 0..spec.height {
-            map.add_row(&cover, &path, row, shift, u.to_radians());
+            map.add_row(&cover, &path, row, &reach);
         }
         for (f, lambda) in map.in_frame.iter_mut().zip(spec.basis.projected_solid_angles()) {
             *f = (*f / lambda).min(1.0);
@@ -160,7 +181,7 @@ impl PixelMap {
         Ok(map)
     }
 
-    fn add_row(&mut self, cover: &Cover, path: &Path, row: usize, shift: usize, u_rad: f64) {
+    fn add_row(&mut self, cover: &Cover, path: &Path, row: usize, reach: &Reach) {
         let (part0, edge0) = (self.parts.len(), self.edges.len());
         let mut span: Option<std::ops::Range<usize>> = None;
         for column in 0..self.width {
@@ -187,9 +208,14 @@ impl PixelMap {
             span = Some(span.map_or(column, |s| s.start)..column + 1);
             let weight: f64 = self.parts.iter().skip(before).map(|p| p.weight).sum();
             // the map is conformal: a shift by u at the sample is u sqrt(J) / k pixels
-            let scale = weight * u_rad * point.jacobian.sqrt() / path.k() / (2.0 * shift as f64);
-            cover.gradient(column, row, shift, |patch, fx, fy| {
-                self.edges.push(Edge { column: column as u32, slot: slot(patch), gx: scale * fx, gy: scale * fy });
+            let scale = weight * reach.u_rad * point.jacobian.sqrt() / path.k() / (2.0 * reach.shift as f64);
+            cover.gradient(column, row, reach.shift, |patch, fx, fy| {
+                let (gx, gy) = (scale * fx, scale * fy);
+                self.edges.push(Edge { column: column as u32, slot: slot(patch), gx, gy, blur: 0.0 });
+            });
+            cover.curvature(column, row, reach.step, |patch, f| {
+                let blur = weight * reach.blur * f;
+                self.edges.push(Edge { column: column as u32, slot: slot(patch), gx: 0.0, gy: 0.0, blur });
             });
         }
         self.rows.push(Row {
@@ -294,6 +320,20 @@ pub fn vignetting(even_coefficients: &[f64], t: f64) -> f64 {
     1.0 + t2 * even_coefficients.iter().rev().fold(0.0, |sum, c| sum * t2 + c)
 }
 
+// === impl Reach ===
+
+impl Reach {
+    fn of(u_rad: f64, k: f64, blur_px: f64) -> Reach {
+        let step = blur_px.round().max(1.0);
+        Reach {
+            u_rad,
+            shift: (u_rad / k).round().max(1.0) as usize,
+            step: step as usize,
+            blur: blur_px * blur_px / (2.0 * step * step),
+        }
+    }
+}
+
 // === impl Cover ===
 
 impl Cover {
@@ -380,6 +420,29 @@ impl Cover {
             found(patch, 0.0, fy);
         }
     }
+
+    /// Calls `found` with the second difference of every patch's fraction over +-`step` pixels, columns and rows together.
+    fn curvature(&self, column: usize, row: usize, step: usize, mut found: impl FnMut(u32, f64)) {
+        let (c, r, h) = (column as isize, row as isize, step as isize);
+        let own = self.at(c, r).and_then(|i| self.centre.get(i));
+        let near = [(c + h, r), (c - h, r), (c, r + h), (c, r - h)];
+        // Beyond the horizon or the frame there is no patch to exchange light with.
+        let inside = |&&(c, r): &&(isize, isize)| self.at(c, r).is_some_and(|i| self.centre.get(i) != Some(&NONE));
+        let whole = |i: usize| self.centre.get(i) == own && matches!(self.split.get(i), Some(None));
+        if self.at(c, r).is_some_and(whole) && near.iter().all(|&(c, r)| self.at(c, r).is_some_and(whole)) {
+            return;
+        }
+        let mut sum = Vec::with_capacity(6);
+        let mut neighbours = 0.0;
+        for &(c, r) in near.iter().filter(inside) {
+            self.fractions(c, r, 1.0, &mut sum);
+            neighbours += 1.0;
+        }
+        self.fractions(c, r, -neighbours, &mut sum);
+        for (patch, f) in sum {
+            found(patch, f);
+        }
+    }
 }
 
 #[cfg(test)]
@@ -400,6 +463,7 @@ pub(crate) mod tests {
             basis: AngleBasis::klems_full(),
             flipped: false,
             direction_u_deg: 0.3,
+            blur_px: 0.0,
             vignetting: vec![-0.1, -0.05],
         }
     }

@@ -22,6 +22,8 @@ pub enum DarkMap {
 pub struct Dark {
     /// Rate.
     pub map: DarkMap,
+    /// Mean rate of the pixels that could be read, 1/s.
+    pub typical: f64,
     /// Standard uncertainty of the rate of a single pixel, 1/s.
     pub u_rate: f64,
     /// Pixels masked as hot.
@@ -33,8 +35,9 @@ pub struct Dark {
 /// Sums of the readable frames of one pixel.
 #[derive(Debug, Clone, Copy, Default)]
 struct Fit {
-    wtx: f64,
-    wtt: f64,
+    tx: f64,
+    tt: f64,
+    var: f64,
     saturated: bool,
     black: bool,
 }
@@ -56,7 +59,7 @@ impl DarkMap {
 impl Dark {
     /// No dark current at all (the ideal bench).
     pub fn none() -> Dark {
-        Dark { map: DarkMap::Constant(0.0), u_rate: 0.0, hot: 0, unreadable: 0 }
+        Dark { map: DarkMap::Constant(0.0), typical: 0.0, u_rate: 0.0, hot: 0, unreadable: 0 }
     }
 
     /// Rate from dark frames, one fit through the origin a pixel: x = D t.
@@ -73,27 +76,31 @@ impl Dark {
         let upper = P::floor_x(table) / longest;
         let hot_rate = HOT_SHARE * table.top_x() / longest;
         let mut map = Vec::with_capacity(pixels);
-        let (mut hot, mut unreadable, mut information) = (0, 0, 0.0);
+        let (mut hot, mut unreadable, mut variance, mut sum) = (0, 0, 0.0, 0.0);
         for i in 0..pixels {
             let fit = Fit::of(table, frames, i, longest);
-            let rate = if fit.wtt > 0.0 { fit.wtx / fit.wtt } else { 0.5 * upper };
+            let rate = if fit.tt > 0.0 { fit.tx / fit.tt } else { 0.5 * upper };
             if fit.saturated || rate > hot_rate {
                 hot += 1;
                 map.push(f32::NAN);
             } else {
-                unreadable += usize::from(fit.wtt == 0.0);
-                information += fit.wtt;
+                unreadable += usize::from(fit.tt == 0.0);
+                if fit.tt > 0.0 {
+                    variance += fit.var / (fit.tt * fit.tt);
+                    sum += rate;
+                }
                 map.push(rate as f32);
             }
         }
         let readable = pixels - hot - unreadable;
-        let u_read = if readable > 0 { (information / readable as f64).recip().sqrt() } else { 0.0 };
+        let u_read = if readable > 0 { (variance / readable as f64).sqrt() } else { 0.0 };
         let share = unreadable as f64 / (pixels - hot).max(1) as f64;
         let u_rate = (share * upper * upper / 12.0 + (1.0 - share) * u_read * u_read).sqrt();
         if readable == 0 && hot == 0 {
-            return Ok(Dark { map: DarkMap::Constant(0.5 * upper), u_rate, hot, unreadable });
+            return Ok(Dark { map: DarkMap::Constant(0.5 * upper), typical: 0.0, u_rate, hot, unreadable });
         }
-        Ok(Dark { map: DarkMap::PerPixel(map), u_rate, hot, unreadable })
+        let typical = if readable > 0 { sum / readable as f64 } else { 0.0 };
+        Ok(Dark { map: DarkMap::PerPixel(map), typical, u_rate, hot, unreadable })
     }
 }
 
@@ -109,8 +116,10 @@ impl Fit {
                 Class::Good | Class::Low if d.var > 0.0 => {
                     // shorter times add only where they are safe from clipping
                     if d.class == Class::Good || frame.t_s == longest {
-                        fit.wtx += frame.t_s * d.x / d.var;
-                        fit.wtt += frame.t_s * frame.t_s / d.var;
+                        // weights from the times alone: a weight that knows the noise of its reading would bias
+                        fit.tx += frame.t_s * d.x;
+                        fit.tt += frame.t_s * frame.t_s;
+                        fit.var += frame.t_s * frame.t_s * d.var;
                     }
                 }
                 Class::Saturated => fit.saturated |= frame.t_s == longest,
@@ -118,7 +127,7 @@ impl Fit {
             }
         }
         if fit.black {
-            return Fit { wtx: 0.0, wtt: 0.0, ..fit };
+            return Fit { tx: 0.0, tt: 0.0, var: 0.0, ..fit };
         }
         fit
     }

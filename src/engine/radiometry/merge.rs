@@ -11,6 +11,10 @@ use crate::engine::error::EngineError;
 use crate::engine::optics::pixel_map::{PixelMap, Row};
 use rayon::prelude::*;
 
+/// How much of a patch mean the point spread can have moved over its border, against what one more point spread moves:
+/// 1 for a smooth field, 1 + sqrt 2 for a step at the border; the bound as a rectangular distribution.
+const RESOLUTION: f64 = 2.414 / 1.732;
+
 /// Rows of a tile.
 const TILE_ROWS: usize = 32;
 
@@ -56,8 +60,8 @@ struct Patch {
     missing: f64,
     least: f64,
     max: f64,
-    g: [f64; 2],
-    gl: [f64; 2],
+    g: [f64; 3],
+    gl: [f64; 3],
     pixels: u64,
 }
 
@@ -99,9 +103,10 @@ pub fn merge<P: Reading>(
         }
     }
     let residual = table.radiometer().residual_ndl;
+    let common = merge.dark_response();
     let channels = sum
         .chunks(map.patches().max(1))
-        .map(|c| c.iter().zip(map.in_frame()).map(|(p, &f)| p.mean(residual, dark.u_rate, f)).collect())
+        .map(|c| c.iter().zip(map.in_frame()).map(|(p, &f)| p.mean([residual, common], dark.u_rate, f)).collect())
         .collect();
     Ok(ViewPatches { channels })
 }
@@ -124,6 +129,18 @@ pub(super) fn check_exposures<P>(exposures: &[Exposure<'_, P>], pixels: usize) -
 // === impl Merge ===
 
 impl<P: Reading> Merge<'_, P> {
+    /// What one unit of NDL error of the response does to the dark rate, 1/s: it does the same to a pixel that sees
+    /// little more than the dark, so the difference is free of it.
+    fn dark_response(&self) -> f64 {
+        let longest = self.exposures.first().map_or(0.0, |e| e.t_s);
+        let x = self.dark.typical * longest;
+        if x <= self.floor_x {
+            return 0.0;
+        }
+        let response = self.table.radiometer().response;
+        x * response.sensitivity(response.ndl(x)) / longest
+    }
+
     fn tile(&self, tile: usize) -> Vec<Patch> {
         let mut patches = vec![Patch::default(); self.map.channels() * self.map.patches()];
         let mut sums = vec![Sums::default(); self.map.width()];
@@ -202,8 +219,10 @@ impl<P: Reading> Merge<'_, P> {
                 continue;
             };
             let Some(l) = pixel.value() else { continue };
-            patch.g = [patch.g[0] + edge.gx, patch.g[1] + edge.gy];
-            patch.gl = [patch.gl[0] + edge.gx * l, patch.gl[1] + edge.gy * l];
+            for (k, g) in [edge.gx, edge.gy, edge.blur].into_iter().enumerate() {
+                patch.g[k] += g;
+                patch.gl[k] += g * l;
+            }
         }
     }
 }
@@ -269,14 +288,14 @@ impl Patch {
         self.least += other.least;
         self.max = self.max.max(other.max);
         self.pixels += other.pixels;
-        for k in 0..2 {
+        for k in 0..3 {
             self.g[k] += other.g[k];
             self.gl[k] += other.gl[k];
         }
     }
 
     /// Mean over what was measured or is known to lie below the floor.
-    fn mean(&self, residual_ndl: f64, u_dark: f64, in_frame: f64) -> PatchMean {
+    fn mean(&self, [residual_ndl, common]: [f64; 2], u_dark: f64, in_frame: f64) -> PatchMean {
         let known = self.measured + self.floor_weight;
         let all = known + self.missing;
         if known <= 0.0 {
@@ -291,8 +310,8 @@ impl Patch {
             rate,
             u_random: (self.var / (known * known) + u_dark * u_dark / n).sqrt(),
             u_floor: self.floor / 12.0_f64.sqrt() / known,
-            u_response: residual_ndl * self.ls / known,
-            u_geometry: [gradient(0), gradient(1)],
+            u_response: residual_ndl * (self.ls / known - common * self.measured / known).abs(),
+            u_geometry: [gradient(0), gradient(1), RESOLUTION * gradient(2)],
             measured: in_frame * self.measured / all,
             below_floor: in_frame * self.floor_weight / all,
             missing: in_frame * self.missing / all,

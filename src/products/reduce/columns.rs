@@ -158,8 +158,7 @@ impl Maker<'_> {
     ) -> Result<Option<(ViewPatches, RatioTerms)>> {
         let transmission = pose.side.is_transmission();
         let instrument = &self.run.document.instrument;
-        let standard =
-            if transmission { &instrument.reference.transmission } else { &instrument.reference.reflection };
+        let standard = if transmission { &instrument.reference.transmission } else { &instrument.reference.reflection };
         let (Some(standard), Some(value)) = (standard, reading.references[usize::from(transmission)]) else {
             return Ok(None);
         };
@@ -256,13 +255,14 @@ fn at_time(known: &[(i64, &ViewPatches)], t: i64) -> Result<Option<ViewPatches>>
 // === impl Facts ===
 
 /// Names of the parts of the budget, in the order they are told.
-const PARTS: [&str; 10] = [
+const PARTS: [&str; 11] = [
     "counting noise and quantisation",
     "below the floor",
     "response curve",
     "reference or scale",
     "lamp drift",
     "direction of emergence",
+    "point spread over patch borders",
     "incident angle",
     "vignetting",
     "spectrum between the bands",
@@ -286,6 +286,7 @@ impl Facts {
                 b.scale,
                 b.drift,
                 b.geometry[0].hypot(b.geometry[1]),
+                b.geometry[2].abs(),
                 b.incidence,
                 b.vignetting,
                 b.spectral,
@@ -306,4 +307,3 @@ impl Facts {
         }
     }
 }
-

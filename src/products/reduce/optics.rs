@@ -70,6 +70,7 @@ fn camera_optics(run: &Run, name: &str, camera: &Camera, calibration: &CameraCal
             basis: basis(run),
             flipped,
             direction_u_deg: optics.direction_uncertainty_deg,
+            blur_px: geometry.blur_px,
             vignetting: calibration.vignetting.even_coefficients.clone(),
         })
     };
