@@ -288,8 +288,9 @@ impl BenchFile {
         self.camera.iter().try_for_each(|(name, camera)| camera.check(path, name))
     }
 
-    /// Takes out everything random and every dark signal.
-    fn idealise(&mut self) {
+    /// Takes out everything random, every dark signal and the quantisation.
+    pub fn idealise(&mut self) {
+        self.ideal = true;
         self.lamp.drift_per_hour = 0.0;
         self.lamp.walk_per_sqrt_hour = 0.0;
         self.lamp.flicker = 0.0;
