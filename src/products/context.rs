@@ -89,7 +89,7 @@ pub struct Checks {
     pub reciprocity: Option<f64>,
     /// Largest relative change between reference views of the same band.
     pub drift: Option<f64>,
-    /// Fraction of patches whose BSDF lies below the instrument's own floor (noise and stray light), 0 to 1.
+    /// Largest share of a hemispherical value that light below the instrument's floor may be, relative (k = 2).
     pub below_floor: Option<f64>,
     /// Days by which the oldest calibration in use is past its validity; 0 or less = valid.
     pub calibration_overdue_days: Option<i64>,

@@ -5,15 +5,17 @@ use super::error::Result;
 use super::export::matrix::FilledBlock;
 use super::reduce::{Facts, Run};
 use crate::archive::rows::StepState;
-use crate::config::scan::ReferenceMode;
+use crate::config::scan::{ReferenceMode, Symmetry};
 use crate::control::events::Event;
+use crate::engine::bsdf::fill::fill;
+use crate::engine::bsdf::matrix::Matrix;
 use crate::engine::bsdf::set::{BsdfSet, Quantity};
 use crate::engine::optics::side::Side;
 use jiff::Timestamp;
 use std::collections::BTreeMap;
 
 /// The context of a run's products. Holds only the run's own dates.
-pub fn context(run: &Run, facts: &Facts) -> Result<ProductContext> {
+pub fn context(run: &Run, set: &BsdfSet, facts: &Facts) -> Result<ProductContext> {
     let (scan, instrument) = (&run.document.scan, &run.document.instrument);
     let (serials, finished) = story(run)?;
     let sample = &scan.sample;
@@ -36,7 +38,7 @@ pub fn context(run: &Run, facts: &Facts) -> Result<ProductContext> {
         plan_hash: run.document.plan.hash.clone(),
         versions: versions(run),
         counts: counts(run)?,
-        checks: checks(run, facts),
+        checks: checks(run, set, facts),
         uncertainty: budget(facts),
         notes: notes(run, facts),
     })
@@ -129,7 +131,7 @@ fn counts(run: &Run) -> Result<Counts> {
     })
 }
 
-fn checks(run: &Run, facts: &Facts) -> Checks {
+fn checks(run: &Run, set: &BsdfSet, facts: &Facts) -> Checks {
     let started: Timestamp = run.document.started.parse().unwrap_or(Timestamp::UNIX_EPOCH);
     let day = started.to_zoned(jiff::tz::TimeZone::UTC).date();
     let overdue = run
@@ -138,11 +140,29 @@ fn checks(run: &Run, facts: &Facts) -> Checks {
         .values()
         .map(|c| day.since((jiff::Unit::Day, c.valid_until)).map_or(i64::MAX, |span| i64::from(span.get_days())));
     Checks {
-        reciprocity: None,
+        reciprocity: reciprocity(run, set),
         drift: facts.largest_reference_change,
-        below_floor: Some(facts.below_floor_share),
+        below_floor: Some(facts.floor_relative),
         calibration_overdue_days: overdue.max(),
     }
+}
+
+/// Largest reciprocity error of the headline quantity over what was measured in both directions of light.
+fn reciprocity(run: &Run, set: &BsdfSet) -> Option<f64> {
+    let quantity = set.quantities.iter().position(|q| *q == Quantity::Visible).unwrap_or(0);
+    let matrix = |side| filled(run, set, quantity, side);
+    let pairs = [
+        (Side::TransmissionFront, Side::TransmissionBack),
+        (Side::ReflectionFront, Side::ReflectionFront),
+        (Side::ReflectionBack, Side::ReflectionBack),
+    ];
+    let errors = pairs.iter().filter_map(|&(a, b)| matrix(a).reciprocity(&matrix(b), &set.basis));
+    errors.fold(None, |largest, e| Some(largest.map_or(e, |l: f64| l.max(e))))
+}
+
+fn filled(run: &Run, set: &BsdfSet, quantity: usize, side: Side) -> Matrix {
+    let isotropic = run.document.scan.sample.symmetry == Symmetry::Isotropic;
+    fill(set, side, quantity, isotropic)
 }
 
 fn budget(facts: &Facts) -> Vec<UncertaintyComponent> {
@@ -194,9 +214,7 @@ pub fn headline(set: &BsdfSet) -> Vec<String> {
 
 /// Blocks of one quantity for the Klems file, filled as far as symmetry allows.
 pub fn blocks(run: &Run, set: &BsdfSet, quantity: usize) -> Vec<FilledBlock> {
-    let isotropic = run.document.scan.sample.symmetry == crate::config::scan::Symmetry::Isotropic;
     let known = |side: &Side| set.columns.iter().any(|c| c.side == *side && c.quantity == quantity);
-    let block =
-        |side: Side| FilledBlock::of_matrix(side, &crate::engine::bsdf::fill::fill(set, side, quantity, isotropic));
+    let block = |side: Side| FilledBlock::of_matrix(side, &filled(run, set, quantity, side));
     Side::ALL.into_iter().filter(known).map(block).collect()
 }

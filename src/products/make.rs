@@ -82,7 +82,7 @@ pub fn make_all(run: &Run) -> Result<Made> {
 /// [`ProductError`].
 pub fn make(run: &Run, products: &[Product]) -> Result<Made> {
     let reduction = reduce(run)?;
-    let context = context(run, &reduction.facts)?;
+    let context = context(run, &reduction.set, &reduction.facts)?;
     let folder = run.dir.path().join(PRODUCTS);
     let mut maker = Maker { run, folder, reduction, context, written: Vec::new() };
     for product in products {

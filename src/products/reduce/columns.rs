@@ -11,10 +11,11 @@ use crate::engine::bsdf::budget::PatchBsdf;
 use crate::engine::bsdf::hemispherical::hemispherical;
 use crate::engine::bsdf::normalise::{AbsoluteTerms, RatioTerms, absolute, ratio};
 use crate::engine::bsdf::patches::ViewPatches;
-use crate::engine::bsdf::set::{BsdfSet, Column};
+use crate::engine::bsdf::set::{BsdfSet, Column, Quantity};
 use crate::engine::bsdf::totals::combine;
 use crate::engine::optics::direction::Direction;
 use crate::engine::optics::side::Side;
+use crate::engine::spectra::combine::Combiner;
 use crate::products::error::{ProductError, Result, engine};
 use rayon::prelude::*;
 
@@ -42,21 +43,33 @@ pub fn columns(run: &Run, readings: &Readings, views: &ReducedViews) -> Result<R
     let made = poses.par_iter().map(|pose| maker.columns_of(*pose)).collect::<Result<Vec<_>>>()?;
     let mut facts = maker.facts();
     let mut columns = Vec::new();
-    let (mut low, mut all) = (0, 0);
+    let projected = basis(run).projected_solid_angles();
     for (pose_columns, patches) in made {
         for p in patches.iter().flatten() {
             facts.largest_saturated = facts.largest_saturated.max(p.missing);
         }
-        let last = patches.last().map_or(&[][..], Vec::as_slice);
-        low += last.iter().filter(|p| p.below_floor > 0.5).count();
-        all += last.len();
+        let headline = headline_quantity(&readings.quantities);
+        if let (Some(column), Some(list)) = (pose_columns.get(headline), patches.get(headline)) {
+            facts.floor_relative = facts.floor_relative.max(floor_relative(&projected, column, list));
+        }
         facts.add_budget(&patches);
         columns.extend(pose_columns);
     }
     facts.finish_budget();
-    facts.below_floor_share = low as f64 / all.max(1) as f64;
     let quantities = readings.quantities.iter().map(|(q, _)| q.clone()).collect();
     Ok(Reduction { set: BsdfSet { basis: basis(run), quantities, columns }, facts })
+}
+
+/// Visible where there is one, else the lamp-weighted total.
+fn headline_quantity(quantities: &[(Quantity, Combiner)]) -> usize {
+    let at = |wanted: fn(&Quantity) -> bool| quantities.iter().position(|(q, _)| wanted(q));
+    at(|q| *q == Quantity::Visible).or_else(|| at(|q| matches!(q, Quantity::RadiometricTotal { .. }))).unwrap_or(0)
+}
+
+/// What light below the floor may add to the hemispherical value of a column, relative, k = 2.
+fn floor_relative(projected: &[f64], column: &Column, patches: &[PatchBsdf]) -> f64 {
+    let floor: f64 = projected.iter().zip(patches).map(|(l, p)| l * p.budget.floor).sum();
+    if column.hemispherical > 0.0 { 2.0 * floor / column.hemispherical } else { 0.0 }
 }
 
 // === impl Maker ===

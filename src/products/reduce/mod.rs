@@ -34,8 +34,8 @@ pub struct Facts {
     pub views_missing: usize,
     /// Largest change of a reference from one view to the next, relative.
     pub largest_reference_change: Option<f64>,
-    /// Share of the patches of the last quantity that lie mostly below the floor, 0 to 1.
-    pub below_floor_share: f64,
+    /// Largest part of a headline hemispherical value that light below the floor may be, relative (k = 2).
+    pub floor_relative: f64,
     /// Largest saturated share of a patch.
     pub largest_saturated: f64,
     /// Dark rate by camera, relative exposure per second: median, hot pixels masked.

@@ -43,8 +43,8 @@ const COVERAGE: [f64; 2] = [0.98, 0.90];
 const RECIPROCITY: [f64; 2] = [0.15, 0.30];
 /// Relative change between reference views.
 const DRIFT: [f64; 2] = [0.02, 0.05];
-/// Fraction of patches below the instrument's floor.
-const FLOOR: [f64; 2] = [0.20, 0.60];
+/// What light below the instrument's floor may add to a hemispherical value, relative (k = 2).
+const FLOOR: [f64; 2] = [0.05, 0.25];
 
 /// Judges a result.
 pub fn verdict(context: &ProductContext, set: &BsdfSet) -> Verdict {
@@ -53,7 +53,7 @@ pub fn verdict(context: &ProductContext, set: &BsdfSet) -> Verdict {
     let checks = &context.checks;
     findings.push(checked(checks.reciprocity, RECIPROCITY, "Reciprocity", "weighted relative error"));
     findings.push(checked(checks.drift, DRIFT, "Drift", "largest change between reference views"));
-    findings.push(checked(checks.below_floor, FLOOR, "Floor", "patches below the instrument's own floor"));
+    findings.push(checked(checks.below_floor, FLOOR, "Floor", "light too dim to read may be this much of a T or R"));
     findings.push(calibration(context));
     findings.sort_by_key(|f| std::cmp::Reverse(f.light));
     Verdict { light: findings.first().map_or(Light::Red, |f| f.light), findings }
