@@ -172,7 +172,8 @@ fn devices(
     axes.extend(holder.changer.as_ref().map(|c| axis("changer", &c.axis)));
     let connector = connect(&holder.driver, &holder.port)?;
     let mut made = table::holder(&holder.driver, connector, axes, clock)?.into_iter();
-    let lacking = || DeviceError::new(goniod_drivers::error::ErrorKind::Broken, "holder", "its driver made too few axes");
+    let lacking =
+        || DeviceError::new(goniod_drivers::error::ErrorKind::Broken, "holder", "its driver made too few axes");
     let mut next = || -> Result<Box<dyn RotaryAxis>, DeviceError> { made.next().ok_or_else(lacking) };
     let (tilt, spin) = (next()?, next()?);
     let changer = holder.changer.as_ref().map(|_| next()).transpose()?;

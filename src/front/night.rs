@@ -34,14 +34,21 @@ pub struct Night {
 /// # Errors
 /// A scan that cannot be planned, as bad input.
 pub fn plan(checked: &Checked) -> Result<Plan, Failure> {
-    build(&checked.instrument, &checked.scan, &Timing::default()).map_err(|e| Failure::new(Exit::BadInput, e.to_string()))
+    build(&checked.instrument, &checked.scan, &Timing::default())
+        .map_err(|e| Failure::new(Exit::BadInput, e.to_string()))
 }
 
 /// Makes the run directory for a plan.
 ///
 /// # Errors
 /// A folder that cannot be written, a full disk, a run of this name that exists: storage failures.
-pub fn prepare(checked: &Checked, plan: Plan, runs_dir: &Path, clock: Clock, seed: Option<u64>) -> Result<Night, Failure> {
+pub fn prepare(
+    checked: &Checked,
+    plan: Plan,
+    runs_dir: &Path,
+    clock: Clock,
+    seed: Option<u64>,
+) -> Result<Night, Failure> {
     let run_id = run_id(&checked.scan.name, clock.utc(), &plan.hash);
     let files = checked.files.iter();
     let document = RunDocument {
@@ -60,8 +67,7 @@ pub fn prepare(checked: &Checked, plan: Plan, runs_dir: &Path, clock: Clock, see
     };
     let text = toml::to_string(&document)
         .map_err(|e| Failure::new(Exit::Failed, format!("the plan cannot be written as TOML: {e}")))?;
-    let kept: Vec<(PathBuf, Vec<u8>)> =
-        files.map(|f| (Path::new(INPUTS).join(&f.name), f.bytes.clone())).collect();
+    let kept: Vec<(PathBuf, Vec<u8>)> = files.map(|f| (Path::new(INPUTS).join(&f.name), f.bytes.clone())).collect();
     let shape = layout(&plan, &checked.instrument.camera).map_err(|e| Failure::new(Exit::BadInput, e.to_string()))?;
     let new = NewRun { run_id: &run_id, plan_toml: &text, files: &kept, layout: &shape };
     let run = RunDir::create(runs_dir, &new).map_err(storage)?;

@@ -132,9 +132,11 @@ fn counts(run: &Run) -> Result<Counts> {
 fn checks(run: &Run, facts: &Facts) -> Checks {
     let started: Timestamp = run.document.started.parse().unwrap_or(Timestamp::UNIX_EPOCH);
     let day = started.to_zoned(jiff::tz::TimeZone::UTC).date();
-    let overdue = run.document.calibrations.values().map(|c| {
-        day.since((jiff::Unit::Day, c.valid_until)).map_or(i64::MAX, |span| i64::from(span.get_days()))
-    });
+    let overdue = run
+        .document
+        .calibrations
+        .values()
+        .map(|c| day.since((jiff::Unit::Day, c.valid_until)).map_or(i64::MAX, |span| i64::from(span.get_days())));
     Checks {
         reciprocity: None,
         drift: facts.largest_reference_change,
@@ -194,8 +196,7 @@ pub fn headline(set: &BsdfSet) -> Vec<String> {
 pub fn blocks(run: &Run, set: &BsdfSet, quantity: usize) -> Vec<FilledBlock> {
     let isotropic = run.document.scan.sample.symmetry == crate::config::scan::Symmetry::Isotropic;
     let known = |side: &Side| set.columns.iter().any(|c| c.side == *side && c.quantity == quantity);
-    let block = |side: Side| {
-        FilledBlock::of_matrix(side, &crate::engine::bsdf::fill::fill(set, side, quantity, isotropic))
-    };
+    let block =
+        |side: Side| FilledBlock::of_matrix(side, &crate::engine::bsdf::fill::fill(set, side, quantity, isotropic));
     Side::ALL.into_iter().filter(known).map(block).collect()
 }

@@ -127,12 +127,8 @@ impl Maker<'_> {
             ));
         };
         let uncertainty = self.context.uncertainty_summary(set);
-        let xml = klems_xml(
-            &self.context,
-            &blocks(self.run, set, visible),
-            &blocks(self.run, set, solar),
-            &uncertainty,
-        )?;
+        let xml =
+            klems_xml(&self.context, &blocks(self.run, set, visible), &blocks(self.run, set, solar), &uncertainty)?;
         self.write("bsdf.xml", xml.as_bytes(), "Klems matrix, Visible and Solar: Radiance, WINDOW, EnergyPlus")
     }
 
@@ -161,7 +157,11 @@ impl Maker<'_> {
         let mut pictures: Vec<(String, Picture, String)> = Vec::new();
         let set = &self.reduction.set;
         for (name, what, picture) in [
-            ("overview", "all measured columns of the headline quantity", overview::overview(set, headline_quantity(set))),
+            (
+                "overview",
+                "all measured columns of the headline quantity",
+                overview::overview(set, headline_quantity(set)),
+            ),
             ("spectrum", "bands and totals of the column nearest to the normal", spectrum_of(set)),
         ] {
             if let Some(picture) = drawn(picture)? {

@@ -83,6 +83,9 @@ pub async fn acquire(
         match attempt_once(camera, history, request, clock, black_before, rejected).await? {
             Ok((frame, picture)) => {
                 history.keep(&picture);
+                if request.dark {
+                    history.keep_dark(frame.info.settings.exposure, &picture);
+                }
                 return Ok(Acquired { frame, picture, attempts: attempt });
             }
             Err(reason) => {

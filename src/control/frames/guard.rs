@@ -8,8 +8,9 @@ use super::bracket::{Black, Bracket, Contradiction};
 use super::picture::Picture;
 use goniod_drivers::contract::{Armed, CameraInfo, CameraSettings};
 use goniod_drivers::frame::{FrameInfo, Pixels};
+use goniod_drivers::units::ExposureTime;
 use serde::{Deserialize, Serialize};
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 use thiserror::Error;
 use tokio::time::Instant;
@@ -102,6 +103,8 @@ pub enum Rejection {
 pub struct StreamHistory {
     last_id: Option<u64>,
     recent: VecDeque<u64>,
+    /// Most pixels with light in a dark, by exposure: what is hot.
+    hot: BTreeMap<ExposureTime, usize>,
 }
 
 /// What a frame must be.
@@ -150,6 +153,17 @@ impl StreamHistory {
         self.recent.push_back(picture.fingerprint);
     }
 
+    /// Takes note of an accepted dark.
+    pub fn keep_dark(&mut self, exposure: ExposureTime, picture: &Picture) {
+        let most = self.hot.entry(exposure).or_default();
+        *most = picture.lit.max(*most);
+    }
+
+    /// True when more pixels have light than in every dark of this exposure; false when there was no dark yet.
+    fn shows_light(&self, exposure: ExposureTime, picture: &Picture) -> bool {
+        self.hot.get(&exposure).is_some_and(|hot| picture.lit > *hot)
+    }
+
     /// The camera was opened again: its counter may begin anew.
     pub fn reopened(&mut self) {
         self.last_id = None;
@@ -169,7 +183,8 @@ pub fn judge(
     judge_label(info, expected)?;
     judge_counter(info, history, expected)?;
     judge_time(info, expected)?;
-    let picture = Picture::of(info, pixels, expected.skip_rows).ok_or(Rejection::Damaged)?;
+    let mut picture = Picture::of(info, pixels, expected.skip_rows).ok_or(Rejection::Damaged)?;
+    picture.shows_light = history.shows_light(info.settings.exposure, &picture);
     judge_light(&picture, history, expected)?;
     expected.bracket.judge(expected.settings.exposure, &picture).map_err(Rejection::Bracket)?;
     Ok(picture)
@@ -230,7 +245,7 @@ fn judge_light(picture: &Picture, history: &StreamHistory, expected: &Expectatio
     if picture.is_black() && !expected.dark {
         match expected.bracket.black_at(exposure) {
             Black::Impossible => return Err(Rejection::Black),
-            Black::Open if !expected.black_before => return Err(Rejection::BlackUnconfirmed),
+            Black::Open if !expected.black_before && !picture.shows_light => return Err(Rejection::BlackUnconfirmed),
             // An 8-bit sensor clips to zero below its response's offset: such frames are constant and all alike.
             Black::Open | Black::Expected => return Ok(()),
         }
@@ -402,6 +417,21 @@ mod tests {
         };
         assert_eq!(rejected(seen), Rejection::Black);
         assert!(matches!(rejected(|c, _| keep(c, 1, 2_500)), Rejection::Bracket(_)));
+    }
+
+    /// Clear glass: what passes is a peak of a few pixels, which no dark has.
+    #[tokio::test(start_paused = true)]
+    async fn a_peak_of_few_pixels_needs_no_second_look_once_a_dark_is_known() {
+        let peak = || Pixels::U8((0..WIDTH).map(|i| if i == 77 { 250 } else { (i % 2) as u8 }).collect());
+        let dark = Picture::of(&info(WIDTH, 1, Instant::now(), 10_000), &Pixels::U8(vec![0; WIDTH]), 0).unwrap();
+        assert_eq!(rejected(|c, _| c.pixels = peak()), Rejection::BlackUnconfirmed);
+        let (mut case, t0) = good();
+        case.pixels = peak();
+        case.history.keep_dark(ExposureTime(10_000), &dark);
+        assert_eq!(verdict(&case, t0), Ok(()));
+        let hot = Picture::of(&info(WIDTH, 1, Instant::now(), 10_000), &peak(), 0).unwrap();
+        case.history.keep_dark(ExposureTime(10_000), &hot);
+        assert_eq!(verdict(&case, t0), Err(Rejection::BlackUnconfirmed), "a hot pixel is no light");
     }
 
     #[tokio::test(start_paused = true)]

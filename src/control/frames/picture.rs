@@ -30,7 +30,10 @@ pub struct Picture {
     pub levels: u32,
     /// Levels of some pixels, always the same ones for the same camera.
     pub sample: Vec<u16>,
-    lit: usize,
+    /// Pixels with light.
+    pub lit: usize,
+    /// More pixels have light than in the darks of this exposure: however few they are, the light was there.
+    pub shows_light: bool,
 }
 
 // === impl Picture ===
@@ -76,6 +79,7 @@ impl Picture {
             levels,
             sample: Vec::with_capacity(count / stride + 1),
             lit: 0,
+            shows_light: false,
         };
         let mut sum = 0_u64;
         for (i, level) in of.enumerate() {

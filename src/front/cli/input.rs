@@ -48,7 +48,10 @@ pub fn instrument_path(given: Option<&Path>) -> Result<PathBuf, Failure> {
     usual.iter().map(PathBuf::from).find(|p| p.is_file()).ok_or_else(|| {
         Failure::new(
             Exit::BadInput,
-            format!("no instrument file: give --instrument FILE, set $GONIOD_INSTRUMENT, or put it at {}", usual.join(" or ")),
+            format!(
+                "no instrument file: give --instrument FILE, set $GONIOD_INSTRUMENT, or put it at {}",
+                usual.join(" or ")
+            ),
         )
     })
 }
@@ -60,9 +63,9 @@ pub fn today() -> jiff::civil::Date {
 
 /// A moment given as RFC 3339.
 pub fn moment(text: &str) -> Result<UtcMicros, Failure> {
-    text.parse::<jiff::Timestamp>().map(|t| UtcMicros(t.as_microsecond())).map_err(|_| {
-        Failure::new(Exit::Usage, format!("`{text}` is not a moment; write it as 2026-01-01T18:00:00Z"))
-    })
+    text.parse::<jiff::Timestamp>()
+        .map(|t| UtcMicros(t.as_microsecond()))
+        .map_err(|_| Failure::new(Exit::Usage, format!("`{text}` is not a moment; write it as 2026-01-01T18:00:00Z")))
 }
 
 /// A run opened to be reduced.

@@ -33,11 +33,8 @@ pub struct Args {
 pub fn run(args: Args, output: &Output) -> Outcome {
     let checked = args.scan.check(output)?;
     let start = moment(&args.start)?;
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .start_paused(true)
-        .build()
-        .map_err(no_runtime)?;
+    let runtime =
+        tokio::runtime::Builder::new_current_thread().enable_all().start_paused(true).build().map_err(no_runtime)?;
     let rehearsal = Rehearsal { seed: args.seed, sample: args.sample };
     let open = |clock| open_simulated(&checked, &rehearsal, clock);
     let work = measure(&checked, &args.runs, || Clock::starting_at(start), open, output);

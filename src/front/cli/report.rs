@@ -18,7 +18,6 @@ pub fn run(args: Args, output: &Output) -> Outcome {
     let run = open_run(&args.run)?;
     let made =
         make(&run, &[Product::Plots, Product::Report]).map_err(|e| Failure::new(Exit::Storage, e.to_string()))?;
-    output.result(Exit::Done, &made, || {
-        made.files.iter().map(|f| f.display().to_string()).collect::<Vec<_>>().join("\n")
-    })
+    output
+        .result(Exit::Done, &made, || made.files.iter().map(|f| f.display().to_string()).collect::<Vec<_>>().join("\n"))
 }

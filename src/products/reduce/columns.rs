@@ -158,8 +158,7 @@ impl Maker<'_> {
     ) -> Result<Option<(ViewPatches, RatioTerms)>> {
         let transmission = pose.side.is_transmission();
         let instrument = &self.run.document.instrument;
-        let standard =
-            if transmission { &instrument.reference.transmission } else { &instrument.reference.reflection };
+        let standard = if transmission { &instrument.reference.transmission } else { &instrument.reference.reflection };
         let (Some(standard), Some(value)) = (standard, reading.references[usize::from(transmission)]) else {
             return Ok(None);
         };
@@ -306,4 +305,3 @@ impl Facts {
         }
     }
 }
-

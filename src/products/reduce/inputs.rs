@@ -68,10 +68,8 @@ impl Run {
     pub fn open(path: &Path) -> Result<Run> {
         let dir = RunDir::open(path)?;
         let text = dir.plan_toml()?;
-        let document: RunDocument = toml::from_str(&text).map_err(|e| ProductError::Plan {
-            path: path.join(PLAN),
-            message: e.message().to_owned(),
-        })?;
+        let document: RunDocument = toml::from_str(&text)
+            .map_err(|e| ProductError::Plan { path: path.join(PLAN), message: e.message().to_owned() })?;
         let frames = dir.with(|journal| journal.frames())?.into_iter().map(|f| (f.step, f)).collect();
         let spectra = InstrumentSpectra::of(path, &document)?;
         Ok(Run { dir, document, frames, spectra, standards: Standards::load()? })

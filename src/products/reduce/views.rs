@@ -46,11 +46,7 @@ pub fn reduce_views(run: &Run, cameras: &BTreeMap<String, CameraOptics>) -> Resu
             let optics = cameras.get(&view.camera).ok_or_else(lost)?;
             let dark = darks.get(&view.camera).ok_or_else(lost)?;
             let frames = frames_of(run, view, brackets.get(&view.id).map_or(&[][..], Vec::as_slice))?;
-            let patches = if frames.is_empty() {
-                None
-            } else {
-                Some(merge_view(view, optics, dark, &frames)?)
-            };
+            let patches = if frames.is_empty() { None } else { Some(merge_view(view, optics, dark, &frames)?) };
             Ok(ReducedView { view: (*view).clone(), utc_us: run.view_time(view.id), patches })
         })
         .collect::<Result<Vec<_>>>()?;
