@@ -64,6 +64,11 @@ impl Bracket {
         self.taken.push((exposure, picture));
     }
 
+    /// Forgets the frame of this exposure, which is doubted.
+    pub fn remove(&mut self, exposure: ExposureTime) {
+        self.taken.retain(|(t, _)| *t != exposure);
+    }
+
     /// Compares a frame with the nearest shorter and the nearest longer exposure.
     ///
     /// # Errors
