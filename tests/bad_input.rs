@@ -310,7 +310,7 @@ fn a_full_disk_at_the_beginning_leaves_nothing() {
 #[test]
 fn a_full_disk_in_the_night_leaves_a_sound_run_and_a_safe_bench() {
     let lab = Lab::small();
-    let Some(said) = on_a_small_disk(&lab, 1100) else {
+    let Some(said) = on_a_small_disk(&lab, 470) else {
         eprintln!("\n*** SKIPPED: no file system can be mounted here, so no full disk can be tested ***\n");
         return;
     };

@@ -205,7 +205,7 @@ fn one_changed_byte_anywhere_is_damage_and_is_named() {
             let mut bad = good.clone();
             bad[place] ^= 0x04;
             fs::write(&file, bad).unwrap();
-            let said = lab.goniod(&["verify", &path, "--json"]);
+            let said = lab.goniod(&["verify", &path]);
             assert_eq!(said.code, 8, "{} byte {place}: {}{}", name.display(), said.out, said.err);
             assert!(said.out.contains(word), "{} byte {place}: {}", name.display(), said.out);
         }

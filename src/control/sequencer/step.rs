@@ -62,7 +62,7 @@ struct Held {
 /// How the tries of an exposure came out.
 enum Tried {
     Passed(Acquired, u32),
-    Unfit(AcquireError),
+    Unfit(AcquireError, u32),
     Ended(StepEnd),
 }
 
@@ -99,15 +99,18 @@ impl Hands<'_> {
             self.memory.bracket = Bracket::default();
             self.memory.bracket_view = Some(view.id);
         }
-        let mut doubted = false;
+        let (mut doubted, mut before) = (false, 0);
         loop {
             let error = match self.tries(view, step).await {
                 Tried::Passed(acquired, rejected) => {
-                    self.hold(view, step, acquired, rejected).await;
+                    self.hold(view, step, acquired, before + rejected).await;
                     return StepEnd::Taken;
                 }
                 Tried::Ended(end) => return end,
-                Tried::Unfit(error) => error,
+                Tried::Unfit(error, rejected) => {
+                    before += rejected;
+                    error
+                }
             };
             let Some((held, reason)) = (!doubted).then(|| self.memory.doubt(view, &error)).flatten() else {
                 return StepEnd::Missing(error.to_string());
@@ -128,7 +131,7 @@ impl Hands<'_> {
                 self.hold(view, step, acquired, doubted.rejected + 1 + rejected).await;
                 return None;
             }
-            Tried::Unfit(error) => error.to_string(),
+            Tried::Unfit(error, _) => error.to_string(),
             Tried::Ended(StepEnd::Missing(reason)) => reason,
             Tried::Ended(end) => return Some(end),
         };
@@ -147,7 +150,7 @@ impl Hands<'_> {
                     }
                     return Tried::Passed(acquired, rejected);
                 }
-                Err(Failure::Unfit(error)) => return Tried::Unfit(error),
+                Err(Failure::Unfit(error)) => return Tried::Unfit(error, rejected),
                 Err(Failure::Fault(fault)) => {
                     failed += 1;
                     let device = fault.device.clone();
