@@ -25,7 +25,7 @@ pub enum ArchiveError {
         message: String,
     },
     /// Any other refusal of the file system.
-    #[error("{}: cannot {what}: {message}", path.display())]
+    #[error("{}: cannot {what}: {message}; check the path and the rights of this user", path.display())]
     Io {
         /// What was tried: "write", "create the folder".
         what: &'static str,

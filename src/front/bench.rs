@@ -11,6 +11,7 @@ use goniod_drivers::error::DeviceError;
 use goniod_drivers::table;
 use goniod_drivers::transport::{Connector, SerialConnector};
 use goniod_drivers::units::{Degrees, DegreesPerSecond, Slot};
+use goniod_sim::camera::FaultQueue;
 use goniod_sim::truth::error::SimError;
 use goniod_sim::twins::{Twins, TwinsSpec};
 use std::collections::BTreeMap;
@@ -28,7 +29,7 @@ pub enum BenchError {
     /// Simulated and real ports together.
     #[error(
         "the instrument mixes simulated and real ports ({simulated} starts with `sim:`, {real} does not); \
-         a bench is all hardware or all simulated"
+         a bench is all hardware or all simulated: make every port `sim:…` or none"
     )]
     Mixed {
         /// A simulated one.
@@ -37,14 +38,15 @@ pub enum BenchError {
         real: String,
     },
     /// A camera driver that is not in this build.
-    #[error("camera `{camera}`: driver `{driver}` is not in this build; there are: {known}")]
+    #[error(
+        "camera `{camera}`: driver `{driver}` photographs the simulated bench only, and this build has no other camera \
+         driver; rehearse the scan, or make every port of the instrument `sim:…`"
+    )]
     CameraDriver {
         /// Camera.
         camera: String,
         /// Its driver.
         driver: String,
-        /// What there is.
-        known: String,
     },
     /// The instrument has no simulated bench.
     #[error(
@@ -80,6 +82,16 @@ pub struct Opened {
     pub bench: Bench,
     /// Seed of the simulated bench; absent on hardware.
     pub seed: Option<u64>,
+    /// Where faults are put into the simulated bench; absent on hardware.
+    pub faults: Option<Faults>,
+}
+
+/// Faults to come on a simulated bench.
+pub struct Faults {
+    /// Holder, wheel and shutter.
+    pub twins: Twins,
+    /// Frames of each camera.
+    pub cameras: BTreeMap<String, FaultQueue>,
 }
 
 /// True when the instrument's ports all belong to the simulated bench.
@@ -112,17 +124,13 @@ fn ports(instrument: &Instrument) -> Vec<(String, String)> {
 pub fn open_hardware(checked: &Checked, clock: Clock) -> Result<Opened, BenchError> {
     let instrument = &checked.instrument;
     if let Some((name, camera)) = instrument.camera.iter().next() {
-        return Err(BenchError::CameraDriver {
-            camera: name.clone(),
-            driver: camera.driver.clone(),
-            known: CAMERA_DRIVERS.join(", "),
-        });
+        return Err(BenchError::CameraDriver { camera: name.clone(), driver: camera.driver.clone() });
     }
     let connect = |driver: &str, port: &str| -> Result<Box<dyn Connector>, BenchError> {
         Ok(Box::new(SerialConnector::new(port, table::lookup(driver)?.baud, clock)))
     };
     let devices = devices(instrument, clock, connect, BTreeMap::new())?;
-    Ok(Opened { bench: Bench::new(devices, Settle::of(instrument)), seed: None })
+    Ok(Opened { bench: Bench::new(devices, Settle::of(instrument)), seed: None, faults: None })
 }
 
 /// Opens the simulated bench that an instrument names.
@@ -140,7 +148,9 @@ pub fn open_simulated(checked: &Checked, rehearsal: &Rehearsal, clock: Clock) ->
     let twins = Twins::new(TwinsSpec::with_serials(&holder.tilt.serial, &holder.spin.serial, changer));
     let bench = goniod_sim::bench::Bench::open(description, sample, seed, Arc::new(twins.clone()), clock)?;
     let mut cameras: BTreeMap<String, Box<dyn Camera>> = BTreeMap::new();
+    let mut faults = Faults { twins: twins.clone(), cameras: BTreeMap::new() };
     for name in instrument.camera.keys() {
+        faults.cameras.insert(name.clone(), bench.faults(name)?);
         cameras.insert(name.clone(), Box::new(bench.camera(name)?));
     }
     let connect = |_: &str, port: &str| {
@@ -158,7 +168,7 @@ pub fn open_simulated(checked: &Checked, rehearsal: &Rehearsal, clock: Clock) ->
     twin_ports.filter_wheel.port = "sim:filter-wheel".to_owned();
     twin_ports.shutter.port = "sim:shutter".to_owned();
     let devices = devices(&twin_ports, clock, connect, cameras)?;
-    Ok(Opened { bench: Bench::new(devices, Settle::of(instrument)), seed: Some(seed) })
+    Ok(Opened { bench: Bench::new(devices, Settle::of(instrument)), seed: Some(seed), faults: Some(faults) })
 }
 
 fn devices(

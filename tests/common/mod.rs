@@ -46,6 +46,20 @@ impl Lab {
         lab
     }
 
+    /// Takes `restart_s` from bench and instrument: the cameras run free, and `frames` frames after each change of the
+    /// exposure still have the one before.
+    pub fn free_running(&self, frames: u32) {
+        let (latency, discard) = (format!("latency_frames = {frames}"), format!("discard_frames = {frames}"));
+        for restart in ["restart_s = 0.1\n", "restart_s = 0.05\n"] {
+            self.edit("sim/bench.toml", &[(restart, "")], true);
+            self.edit("instrument.sim.toml", &[(restart, "")], true);
+        }
+        for was in [2, 1] {
+            self.edit("sim/bench.toml", &[(&format!("latency_frames = {was}\n"), &format!("{latency}\n"))], true);
+            self.edit("instrument.sim.toml", &[(&format!("discard_frames = {was}\n"), &format!("{discard}\n"))], true);
+        }
+    }
+
     /// Path inside the lab.
     pub fn path(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)

@@ -65,6 +65,15 @@ fn drivers(i: &Instrument, options: &Options, report: &mut Report<'_>) {
 }
 
 fn ports(i: &Instrument, report: &mut Report<'_>) {
+    let simulated = links(i).into_iter().find(|(_, _, port)| port.starts_with("sim:"));
+    let real = links(i).into_iter().find(|(_, _, port)| !port.starts_with("sim:"));
+    if let (Some((first, ..)), Some((device, _, port))) = (&simulated, &real) {
+        let key = format!("{device}.port");
+        let message = format!(
+            "`{key}` is \"{port}\", but the port of {first} starts with `sim:`; a bench is all hardware or all simulated: make every port `sim:…` or none"
+        );
+        report.error(&key, message);
+    }
     let mut seen: BTreeMap<&str, String> = BTreeMap::new();
     for (device, _, port) in links(i) {
         let key = format!("{device}.port");

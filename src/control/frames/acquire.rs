@@ -82,7 +82,11 @@ pub async fn acquire(
         let black_before = attempt > 1 && last == Rejection::BlackUnconfirmed;
         match attempt_once(camera, history, request, clock, black_before, rejected).await? {
             Ok((frame, picture)) => {
-                history.keep(&picture);
+                let exposure = frame.info.settings.exposure;
+                history.keep(exposure, &picture);
+                if request.dark {
+                    history.keep_dark(exposure, &picture);
+                }
                 return Ok(Acquired { frame, picture, attempts: attempt });
             }
             Err(reason) => {

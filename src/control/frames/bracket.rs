@@ -48,7 +48,7 @@ pub struct Contradiction {
 /// What the bracket says about a black frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Black {
-    /// A longer exposure was black: this one must be.
+    /// A longer exposure was black and showed no light at all: this one must be.
     Expected,
     /// A shorter exposure had light, or a longer one so much that this one must show it.
     Impossible,
@@ -62,6 +62,11 @@ impl Bracket {
     /// Adds an accepted frame.
     pub fn add(&mut self, exposure: ExposureTime, picture: Picture) {
         self.taken.push((exposure, picture));
+    }
+
+    /// Forgets the frame of this exposure, which is doubted.
+    pub fn remove(&mut self, exposure: ExposureTime) {
+        self.taken.retain(|(t, _)| *t != exposure);
     }
 
     /// Compares a frame with the nearest shorter and the nearest longer exposure.
@@ -84,7 +89,7 @@ impl Bracket {
     pub fn black_at(&self, exposure: ExposureTime) -> Black {
         let mut verdict = Black::Open;
         for (t, other) in &self.taken {
-            if *t >= exposure && other.is_black() {
+            if *t >= exposure && other.is_black() && !other.shows_light {
                 verdict = Black::Expected;
             }
             let visible = f64::from(other.levels) * VISIBLE.0;
@@ -182,6 +187,17 @@ mod tests {
             assert!(bracket.judge(ExposureTime(2_500), &picture(1.0, response)).is_err());
             assert!(bracket.judge(ExposureTime(40_000), &picture(4.0, response)).is_ok());
         }
+    }
+
+    /// Clear glass: a peak of a few pixels, which a shorter exposure may lose, but not without a second look.
+    #[test]
+    fn a_frame_with_a_peak_of_few_pixels_predicts_nothing() {
+        let mut bracket = Bracket::default();
+        let peak = Picture { shows_light: true, ..picture(1e-4, ccd) };
+        bracket.add(ExposureTime(4000), peak);
+        assert_eq!(bracket.black_at(ExposureTime(1000)), Black::Open);
+        bracket.add(ExposureTime(2000), picture(1e-4, ccd));
+        assert_eq!(bracket.black_at(ExposureTime(1000)), Black::Expected);
     }
 
     #[test]

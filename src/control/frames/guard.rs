@@ -8,8 +8,9 @@ use super::bracket::{Black, Bracket, Contradiction};
 use super::picture::Picture;
 use goniod_drivers::contract::{Armed, CameraInfo, CameraSettings};
 use goniod_drivers::frame::{FrameInfo, Pixels};
+use goniod_drivers::units::ExposureTime;
 use serde::{Deserialize, Serialize};
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 use thiserror::Error;
 use tokio::time::Instant;
@@ -101,7 +102,18 @@ pub enum Rejection {
 #[derive(Debug, Default)]
 pub struct StreamHistory {
     last_id: Option<u64>,
-    recent: VecDeque<u64>,
+    /// Fingerprints and exposures of accepted frames.
+    recent: VecDeque<(u64, ExposureTime)>,
+    darks: BTreeMap<ExposureTime, DarkSeen>,
+}
+
+/// What the darks of an exposure showed.
+#[derive(Debug, Default)]
+struct DarkSeen {
+    /// Most pixels above the level of light: what is hot.
+    hot: usize,
+    /// They carry noise, so that a picture of one level is none.
+    grainy: bool,
 }
 
 /// What a frame must be.
@@ -143,11 +155,39 @@ impl StreamHistory {
     }
 
     /// Takes note of an accepted frame.
-    pub fn keep(&mut self, picture: &Picture) {
+    pub fn keep(&mut self, exposure: ExposureTime, picture: &Picture) {
         if self.recent.len() == RECENT {
             self.recent.pop_front();
         }
-        self.recent.push_back(picture.fingerprint);
+        self.recent.push_back((picture.fingerprint, exposure));
+    }
+
+    /// Takes note of an accepted dark.
+    pub fn keep_dark(&mut self, exposure: ExposureTime, picture: &Picture) {
+        let seen = self.darks.entry(exposure).or_default();
+        seen.hot = picture.lit.max(seen.hot);
+        seen.grainy |= picture.is_grainy();
+    }
+
+    /// True when more pixels have light than in every dark of this exposure; false when there was no dark yet.
+    fn shows_light(&self, exposure: ExposureTime, picture: &Picture) -> bool {
+        self.darks.get(&exposure).is_some_and(|seen| picture.lit > seen.hot)
+    }
+
+    /// True when the picture has one level although even the darks of this exposure have noise.
+    fn lost_its_noise(&self, exposure: ExposureTime, picture: &Picture) -> bool {
+        picture.is_constant() && self.darks.get(&exposure).is_some_and(|seen| seen.grainy)
+    }
+
+    /// True when the picture comes again and cannot have come twice by itself: frames with noise never do, a peak of few
+    /// pixels is another one at another exposure. What is clipped at both ends may look the same each time.
+    fn repeats(&self, exposure: ExposureTime, picture: &Picture) -> bool {
+        let singular = picture.is_grainy() || !(picture.is_black() || picture.is_constant());
+        let peak = picture.shows_light && picture.between > 0;
+        let equal = |(fingerprint, other): &(u64, ExposureTime)| {
+            *fingerprint == picture.fingerprint && (singular || (peak && *other != exposure))
+        };
+        self.recent.iter().any(equal)
     }
 
     /// The camera was opened again: its counter may begin anew.
@@ -169,7 +209,8 @@ pub fn judge(
     judge_label(info, expected)?;
     judge_counter(info, history, expected)?;
     judge_time(info, expected)?;
-    let picture = Picture::of(info, pixels, expected.skip_rows).ok_or(Rejection::Damaged)?;
+    let mut picture = Picture::of(info, pixels, expected.skip_rows).ok_or(Rejection::Damaged)?;
+    picture.shows_light = history.shows_light(info.settings.exposure, &picture);
     judge_light(&picture, history, expected)?;
     expected.bracket.judge(expected.settings.exposure, &picture).map_err(Rejection::Bracket)?;
     Ok(picture)
@@ -227,19 +268,22 @@ fn judge_time(info: &FrameInfo, expected: &Expectation<'_>) -> Result<(), Reject
 
 fn judge_light(picture: &Picture, history: &StreamHistory, expected: &Expectation<'_>) -> Result<(), Rejection> {
     let exposure = expected.settings.exposure;
+    if history.lost_its_noise(exposure, picture) {
+        return Err(Rejection::Constant(picture.lowest));
+    }
     if picture.is_black() && !expected.dark {
         match expected.bracket.black_at(exposure) {
             Black::Impossible => return Err(Rejection::Black),
-            Black::Open if !expected.black_before => return Err(Rejection::BlackUnconfirmed),
+            Black::Open if !expected.black_before && !picture.shows_light => return Err(Rejection::BlackUnconfirmed),
             // An 8-bit sensor clips to zero below its response's offset: such frames are constant and all alike.
-            Black::Open | Black::Expected => return Ok(()),
+            Black::Open | Black::Expected => {}
         }
     }
     let clipped = picture.is_black() || (picture.is_saturated() && expected.bracket.saturated_before(exposure));
     if picture.is_constant() && !clipped {
         return Err(Rejection::Constant(picture.lowest));
     }
-    if history.recent.contains(&picture.fingerprint) && !clipped {
+    if history.repeats(exposure, picture) {
         return Err(Rejection::Repeated);
     }
     Ok(())
@@ -389,7 +433,7 @@ mod tests {
         let black = || Pixels::U8((0..WIDTH).map(|i| (i % 2) as u8).collect());
         let keep = |c: &mut Case, seed, us: u64| {
             let picture = Picture::of(&c.info, &light(seed), 0).unwrap();
-            c.history.keep(&picture);
+            c.history.keep(ExposureTime(us), &picture);
             c.bracket.add(ExposureTime(us), picture);
         };
         assert_eq!(rejected(|c, _| c.pixels = Pixels::U8(vec![90; WIDTH])), Rejection::Constant(90));
@@ -402,6 +446,58 @@ mod tests {
         };
         assert_eq!(rejected(seen), Rejection::Black);
         assert!(matches!(rejected(|c, _| keep(c, 1, 2_500)), Rejection::Bracket(_)));
+    }
+
+    /// Clear glass: what passes is a peak of a few pixels, which no dark has.
+    #[tokio::test(start_paused = true)]
+    async fn a_peak_of_few_pixels_needs_no_second_look_once_a_dark_is_known() {
+        let peak = || Pixels::U8((0..WIDTH).map(|i| if i == 77 { 250 } else { (i % 2) as u8 }).collect());
+        let dark = Picture::of(&info(WIDTH, 1, Instant::now(), 10_000), &Pixels::U8(vec![0; WIDTH]), 0).unwrap();
+        assert_eq!(rejected(|c, _| c.pixels = peak()), Rejection::BlackUnconfirmed);
+        let (mut case, t0) = good();
+        case.pixels = peak();
+        case.history.keep_dark(ExposureTime(10_000), &dark);
+        assert_eq!(verdict(&case, t0), Ok(()));
+        let hot = Picture::of(&info(WIDTH, 1, Instant::now(), 10_000), &peak(), 0).unwrap();
+        case.history.keep_dark(ExposureTime(10_000), &hot);
+        assert_eq!(verdict(&case, t0), Err(Rejection::BlackUnconfirmed), "a hot pixel is no light");
+    }
+
+    /// What is clipped to zero looks the same each time; what has noise does not, not even without light.
+    #[tokio::test(start_paused = true)]
+    async fn a_frame_with_noise_never_comes_twice_nor_without_it() {
+        let noise = || Pixels::U8((0..WIDTH).map(|i| 1 + (i % 3) as u8).collect());
+        let picture = |pixels: &Pixels| Picture::of(&info(WIDTH, 1, Instant::now(), 10_000), pixels, 0).unwrap();
+        let dark = |pixels: Pixels, seen: &Pixels| {
+            let (mut case, t0) = good();
+            case.dark = true;
+            case.history.keep(ExposureTime(10_000), &picture(seen));
+            case.history.keep_dark(ExposureTime(10_000), &picture(seen));
+            case.pixels = pixels;
+            verdict(&case, t0)
+        };
+        let zero = || Pixels::U8(vec![0; WIDTH]);
+        let other = || Pixels::U8((0..WIDTH).map(|i| 1 + (i % 2) as u8).collect());
+        assert_eq!(dark(zero(), &zero()), Ok(()));
+        assert_eq!(dark(other(), &noise()), Ok(()));
+        assert_eq!(dark(noise(), &noise()), Err(Rejection::Repeated));
+        assert_eq!(dark(zero(), &noise()), Err(Rejection::Constant(0)));
+    }
+
+    /// A peak of few pixels is another one at another exposure, and may be the same at the same.
+    #[tokio::test(start_paused = true)]
+    async fn a_peak_that_comes_again_at_another_exposure_is_refused() {
+        let peak = || Pixels::U8((0..WIDTH).map(|i| if i == 77 { 200 } else { 0 }).collect());
+        let case = |us: u64| {
+            let (mut case, t0) = good();
+            case.pixels = peak();
+            let zero = Picture::of(&case.info, &Pixels::U8(vec![0; WIDTH]), 0).unwrap();
+            case.history.keep_dark(ExposureTime(10_000), &zero);
+            case.history.keep(ExposureTime(us), &Picture::of(&case.info, &peak(), 0).unwrap());
+            verdict(&case, t0)
+        };
+        assert_eq!(case(10_000), Ok(()));
+        assert_eq!(case(40_000), Err(Rejection::Repeated));
     }
 
     #[tokio::test(start_paused = true)]

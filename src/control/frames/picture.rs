@@ -15,6 +15,9 @@ const LIGHT: f64 = 0.03;
 /// Pixels with light that make a picture not black; fewer may be hot pixels.
 const LIT_PIXELS: usize = 12;
 
+/// Pixels between the ends of the scale from which on noise makes every picture another one.
+const GRAINY_PIXELS: usize = 64;
+
 /// A picture in short. Computing it reads every pixel once (a few milliseconds for a megapixel).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Picture {
@@ -30,7 +33,12 @@ pub struct Picture {
     pub levels: u32,
     /// Levels of some pixels, always the same ones for the same camera.
     pub sample: Vec<u16>,
-    lit: usize,
+    /// Pixels with light.
+    pub lit: usize,
+    /// Pixels that are neither at zero nor at the highest level.
+    pub between: usize,
+    /// More pixels have light than in the darks of this exposure: however few they are, the light was there.
+    pub shows_light: bool,
 }
 
 // === impl Picture ===
@@ -76,6 +84,8 @@ impl Picture {
             levels,
             sample: Vec::with_capacity(count / stride + 1),
             lit: 0,
+            between: 0,
+            shows_light: false,
         };
         let mut sum = 0_u64;
         for (i, level) in of.enumerate() {
@@ -83,6 +93,7 @@ impl Picture {
             picture.highest = picture.highest.max(level);
             sum += u64::from(level);
             picture.lit += usize::from(level > light);
+            picture.between += usize::from(level > 0 && u32::from(level) + 1 < levels);
             if i % stride == 0 {
                 picture.sample.push(level);
             }
@@ -99,6 +110,11 @@ impl Picture {
     /// No pixel but a few hot ones has light.
     pub fn is_black(&self) -> bool {
         self.lit < LIT_PIXELS
+    }
+
+    /// So many pixels carry noise that no other picture can be equal.
+    pub fn is_grainy(&self) -> bool {
+        self.between >= GRAINY_PIXELS
     }
 
     /// Every pixel is at the highest level.

@@ -5,6 +5,7 @@ use super::{Forecast, Step, View};
 use crate::config::instrument::{Axis, Camera, Instrument};
 use crate::control::plan::Subject;
 use goniod_drivers::frame::PixelFormat;
+use goniod_drivers::units::ExposureTime;
 use std::collections::BTreeMap;
 
 /// Two commanded angles nearer than this are one pose, degrees; axes are commanded in millionths.
@@ -13,29 +14,37 @@ const SAME_DEG: f64 = 1e-7;
 /// What the forecast supposes about the sequencer and the drivers, besides the numbers of the instrument file.
 ///
 /// The model: the shutter is closed before anything turns and opened again before the next exposure with light; wheel,
-/// changer, tilt and spin move one after the other; each axis motion is noticed at the next poll. A camera runs free:
-/// when it is armed, part of a frame is still under way and `discard_frames` frames with the settings before go by, each
-/// as long as the larger of integration + read-out and the frame interval; where the instrument gives `restart_s`, the
-/// camera restarts its stream instead when that is shorter. Then comes the kept frame, and wheel and shutter are asked
-/// whether they still stand.
+/// changer, tilt and spin move one after the other; each axis motion is noticed at the next poll. A camera runs free from
+/// its first exposure on, frame after frame, each as long as the larger of integration + read-out and the frame interval.
+/// When it is armed, the frame under way and, after a change of exposure, `discard_frames` frames with the settings before
+/// go by; where the instrument gives `restart_s`, the camera restarts its stream instead when that is shorter. Then comes
+/// the kept frame, and wheel and shutter are asked whether they still stand.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Timing {
-    /// Opening and identifying one device, seconds.
-    pub open_s: f64,
-    /// Finding the reference of one axis, seconds.
-    pub home_s: f64,
+    /// Opening, identifying and closing the shutter, seconds.
+    pub open_shutter_s: f64,
+    /// Opening and identifying the wheel, seconds.
+    pub open_wheel_s: f64,
+    /// Opening and identifying one axis and finding its reference, seconds. How far the axis stands from its reference
+    /// at the start is not known; this is for 37 degrees.
+    pub open_axis_s: f64,
     /// Questions and answers around one axis move, seconds.
     pub move_command_s: f64,
     /// Distance of the polls that notice that an axis stands, seconds; 0 = at once.
     pub poll_s: f64,
     /// Starting and stopping the wheel and the question that proves the place, seconds; `step_s` a place on top.
     pub wheel_start_s: f64,
-    /// Questions and blade travel of one change of the shutter, seconds; the instrument's settle time on top.
-    pub shutter_command_s: f64,
+    /// Questions, toggle and blade's proof of closing the shutter, seconds; the instrument's settle time on top.
+    pub shutter_close_s: f64,
+    /// The same for opening, with the questions for interlock and mode before.
+    pub shutter_open_s: f64,
     /// Questions to wheel and shutter after each kept frame, seconds.
     pub prove_s: f64,
-    /// Part of a frame that is under way when a camera is armed, 0 to 1; the mean is a half.
-    pub frame_under_way: f64,
+    /// Making the bench safe at the end: quiet lines, closing, stopping; the wheel's turn to its blank on top, seconds.
+    pub safe_s: f64,
+    /// Frames without any light that are looked at a second time, in each bracket with light: none where the shortest
+    /// exposure still shows light, else one; which it is depends on the sample.
+    pub second_looks: f64,
 }
 
 /// What the bench does in the forecast.
@@ -47,9 +56,19 @@ struct Bench<'a> {
     changer_deg: f64,
     slot: u8,
     open: bool,
-    /// Length of the last frames by camera, seconds.
-    frame_s: BTreeMap<&'a str, f64>,
+    /// Free-running streams by camera.
+    streams: BTreeMap<&'a str, Stream>,
     forecast: Forecast,
+}
+
+/// A camera's stream after its last kept frame.
+#[derive(Debug, Clone, Copy)]
+struct Stream {
+    /// Start of that frame, seconds.
+    start_s: f64,
+    /// Distance of the frames that follow, seconds.
+    period_s: f64,
+    exposure: ExposureTime,
 }
 
 /// Time of a move over `distance_deg` with a trapezoidal (or, where short, triangular) speed profile, seconds.
@@ -100,29 +119,40 @@ pub fn forecast(
             .ok_or_else(|| PlanError::NoSuchCamera { view: view.id, camera: view.camera.clone() })?;
         if current != Some(step.view) {
             bench.pose(view);
+            bench.second_look(camera, view);
             current = Some(step.view);
         }
         bench.expose(name, camera, step);
     }
+    bench.end();
     Ok(bench.forecast)
 }
 
 // === impl Timing ===
 
 impl Default for Timing {
-    /// The drivers as they are, on a bench without faults. Zaber: seven questions of 3 ms around a move, polls of 50 ms
-    /// and one question. FW212C: one place in 0.9 s, six in 2.9 s (sheet, 4), so half a second beside 0.4 s a place.
-    /// SC10: 8 ms a question, seven to nine of them a change.
+    /// The drivers as they are, on a bench without faults: numbers of exchanges, counted in the drivers, times the time
+    /// of an answer.
+    ///
+    /// - SC10, 8 ms an answer (9600 baud), every value asked twice: state 4, toggle 1 between two questions for enable
+    ///   (2 + 1 + 2), blade 2; opening asks interlock and mode before (4). After a frame 4. Opening the device: 8 and
+    ///   quiet times.
+    /// - FW212C, 3 ms an answer: one place in 0.9 s, six in 2.9 s (the sheet, 4), so half a second beside 0.4 s a place;
+    ///   1 for the turn, 2 for its proof; 2 after a frame.
+    /// - Zaber, 3 ms an answer: seven questions around a move, polls of 50 ms and one answer.
     fn default() -> Timing {
         Timing {
-            open_s: 0.2,
-            home_s: 5.0,
+            open_shutter_s: 0.22,
+            open_wheel_s: 0.136,
+            open_axis_s: 2.502,
             move_command_s: 0.021,
             poll_s: 0.053,
-            wheel_start_s: 0.506,
-            shutter_command_s: 0.07,
-            prove_s: 0.022,
-            frame_under_way: 0.5,
+            wheel_start_s: 0.509,
+            shutter_close_s: 0.088,
+            shutter_open_s: 0.12,
+            prove_s: 0.038,
+            safe_s: 0.3,
+            second_looks: 0.5,
         }
     }
 }
@@ -133,8 +163,8 @@ impl<'a> Bench<'a> {
     /// The bench after opening and homing: axes at zero, wheel on place 1, shutter closed.
     fn new(instrument: &'a Instrument, timing: Timing) -> Bench<'a> {
         let axes = if instrument.holder.changer.is_some() { 3.0 } else { 2.0 };
-        let devices = axes + 2.0 + instrument.camera.len() as f64;
-        let start_s = devices * timing.open_s + axes * timing.home_s;
+        let shutter_s = timing.open_shutter_s + instrument.shutter.settle_s;
+        let start_s = shutter_s + timing.open_wheel_s + axes * timing.open_axis_s;
         let forecast = Forecast { start_s, ..Forecast::default() };
         Bench {
             instrument,
@@ -144,7 +174,7 @@ impl<'a> Bench<'a> {
             changer_deg: 0.0,
             slot: 1,
             open: false,
-            frame_s: BTreeMap::new(),
+            streams: BTreeMap::new(),
             forecast,
         }
     }
@@ -172,8 +202,18 @@ impl<'a> Bench<'a> {
     }
 
     fn shutter(&mut self, open: bool) {
-        self.forecast.shutter_s += self.timing.shutter_command_s + self.instrument.shutter.settle_s;
+        let bringing_s = if open { self.timing.shutter_open_s } else { self.timing.shutter_close_s };
+        self.forecast.shutter_s += bringing_s + self.instrument.shutter.settle_s;
         self.open = open;
+    }
+
+    /// The safe state after the last frame.
+    fn end(&mut self) {
+        let mut slots = self.instrument.filter_wheel.slot.iter();
+        let blank = slots.find(|(_, slot)| slot.band == "dark").and_then(|(number, _)| number.parse().ok());
+        let turn_s = blank.map_or(0.0, |blank| self.wheel_s(blank));
+        // The driver proves the place; nobody waits for the wheel to settle.
+        self.forecast.start_s += self.timing.safe_s + (turn_s - self.instrument.filter_wheel.settle_s).max(0.0);
     }
 
     fn wheel_s(&self, to: u8) -> f64 {
@@ -186,17 +226,42 @@ impl<'a> Bench<'a> {
         self.timing.wheel_start_s + f64::from(places) * wheel.step_s + wheel.settle_s
     }
 
+    /// What the second looks of a bracket take in the mean: the black frames are the short ones, each followed by one
+    /// more frame of the stream.
+    fn second_look(&mut self, camera: &Camera, view: &View) {
+        if view.subject != Subject::Dark {
+            self.forecast.overhead_s += self.timing.second_looks * camera.readout_s.max(camera.frame_interval_s);
+        }
+    }
+
     /// One kept frame with all that goes before and after it.
     fn expose(&mut self, name: &'a str, camera: &Camera, step: &Step) {
         let exposure_s = step.exposure.seconds();
-        let before_s = self.frame_s.get(name).copied().unwrap_or(camera.frame_interval_s);
-        let running_s = (f64::from(camera.discard_frames) + self.timing.frame_under_way) * before_s;
-        let waiting_s = running_s.min(camera.restart_s.unwrap_or(f64::INFINITY));
+        let now_s = self.forecast.total_s();
+        let restart_s = camera.restart_s.unwrap_or(f64::INFINITY);
+        let waiting_s = match self.streams.get(name) {
+            Some(stream) => stream.waiting_s(now_s, step.exposure, camera.discard_frames).min(restart_s),
+            None => camera.restart_s.unwrap_or(0.0),
+        };
+        let period_s = (exposure_s + camera.readout_s).max(camera.frame_interval_s);
+        self.streams.insert(name, Stream { start_s: now_s + waiting_s, period_s, exposure: step.exposure });
         self.forecast.exposing_s += exposure_s;
         self.forecast.overhead_s += waiting_s + camera.readout_s + self.timing.prove_s;
         let pixels = camera.width_px as u64 * camera.height_px as u64;
         self.forecast.raw_bytes += pixels * bytes_per_pixel(camera.format);
-        self.frame_s.insert(name, (exposure_s + camera.readout_s).max(camera.frame_interval_s));
+    }
+}
+
+// === impl Stream ===
+
+impl Stream {
+    /// From `now_s` to the start of the first frame that counts: the rest of the frame under way and, when the exposure
+    /// changes, the frames that still have the settings before.
+    fn waiting_s(&self, now_s: f64, exposure: ExposureTime, discard: u32) -> f64 {
+        let since_s = now_s - self.start_s;
+        let under_way_s = (since_s / self.period_s).ceil() * self.period_s - since_s;
+        let discarded = if exposure == self.exposure { 0 } else { discard };
+        under_way_s + f64::from(discarded) * self.period_s
     }
 }
 
@@ -249,17 +314,22 @@ mod tests {
         // 90 degrees in 5 s, seen at the 95th poll.
         assert!((f.moving_s - (0.021 + 95.0 * 0.053 + 0.2)).abs() < 1e-9, "{f:?}");
         // Place 1 to 3: two places; 3 to 12: three the shorter way.
-        assert!((f.filter_s - (5.0 * 0.4 + 2.0 * (0.506 + 0.1))).abs() < 1e-9, "{f:?}");
-        assert!((f.shutter_s - 2.0 * 0.12).abs() < 1e-9, "opened once, closed once: {f:?}");
+        assert!((f.filter_s - (5.0 * 0.4 + 2.0 * (0.509 + 0.1))).abs() < 1e-9, "{f:?}");
+        assert!((f.shutter_s - (0.12 + 0.088 + 2.0 * 0.05)).abs() < 1e-9, "opened once, closed once: {f:?}");
         assert!((f.exposing_s - 1.002).abs() < 1e-9);
-        // Three restarts of 0.1 s, read-outs and questions.
-        assert!((f.overhead_s - 3.0 * (0.1 + 0.06 + 0.022)).abs() < 1e-9, "{f:?}");
+        // Two restarts of 0.1 s; the dark keeps its exposure and waits for a frame under way, at most an interval;
+        // read-outs, questions, and half a second look.
+        let waited = f.overhead_s - 2.0 * 0.1 - 3.0 * (0.06 + 0.038) - 0.5 * 0.0667;
+        assert!((0.0..0.0667).contains(&waited), "{f:?}");
         assert_eq!(f.raw_bytes, 3 * 1392 * 1040);
-        assert!((f.start_s - (7.0 * 0.2 + 15.0)).abs() < 1e-9);
-        // Without restart two and a half frames of the setting before go by: twice of 66.7 ms, once of 1.06 s.
+        // The wheel is on its blank already at the end.
+        assert!((f.start_s - (0.22 + 0.05 + 0.136 + 3.0 * 2.502 + 0.3)).abs() < 1e-9);
+        // Without restart the first frame comes at once. After it, 38 ms of the next frame of 1.06 s are over, and two
+        // more go by; the dark waits as before or differs by its phase.
         i.camera.get_mut("ccd").unwrap().restart_s = None;
         let slow = forecast(&i, &views, &steps, &timing).unwrap();
-        assert!((slow.overhead_s - f.overhead_s - 2.5 * (2.0 * 0.0667 + 1.06) + 0.3).abs() < 1e-9, "{slow:?}");
+        let waited = slow.overhead_s - (3.0 * 1.06 - 0.038) - 3.0 * (0.06 + 0.038) - 0.5 * 0.0667;
+        assert!((0.0..0.0667).contains(&waited), "{slow:?}");
         assert!(forecast(&i, &views, &[step(0, 9, 1)], &timing).is_err());
     }
 }

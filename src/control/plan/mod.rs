@@ -87,7 +87,7 @@ pub struct Forecast {
     pub exposing_s: f64,
     /// Frames thrown away and read-out.
     pub overhead_s: f64,
-    /// Opening and homing at the start.
+    /// Opening and homing at the start, making safe at the end.
     pub start_s: f64,
     /// Bytes of raw frames before compression.
     pub raw_bytes: u64,

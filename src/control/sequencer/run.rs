@@ -108,38 +108,48 @@ impl Night {
         to_do: &BTreeSet<u32>,
     ) -> Option<String> {
         let mut memory = Memory::default();
+        let ended = self.exposures(job, bench, (&mut memory, listener), to_do).await;
+        memory.release(&self.recorder).await;
+        self.recorder.flush().await;
+        let (ending, why) = failure(&self.recorder).unwrap_or(ended);
+        self.go(Input::End(ending)).await;
+        why
+    }
+
+    /// Checks the bench and takes the exposures that are to do; gives why it is over.
+    async fn exposures(
+        &mut self,
+        job: &Job<'_>,
+        bench: &mut Bench,
+        (memory, listener): (&mut Memory, &mut Listener),
+        to_do: &BTreeSet<u32>,
+    ) -> (Ending, Option<String>) {
         self.go(Input::Start).await;
-        let mut hands = self.hands(job, bench, &mut memory);
+        let mut hands = self.hands(job, bench, memory);
         let checked = tokio::select! {
             biased;
             () = listener.until_abort() => Err((Ending::Aborted, None)),
             checked = hands.check() => checked.map_err(|(e, why)| (e, Some(why))),
         };
-        if let Err((ending, why)) = checked {
-            self.go(Input::End(ending)).await;
-            return why;
+        if let Err(ended) = checked {
+            return ended;
         }
         self.go(Input::Ready).await;
         let views: BTreeMap<u32, &View> = job.plan.views.iter().map(|view| (view.id, view)).collect();
         for step in job.plan.steps.iter().filter(|step| to_do.contains(&step.number)) {
             listener.catch_up();
-            if let Some((ending, why)) = self.asked_to_end(bench, listener).await {
-                self.go(Input::End(ending)).await;
-                return why;
+            if let Some(ended) = self.asked_to_end(bench, listener).await {
+                return ended;
             }
             let Some(view) = views.get(&step.view) else {
                 self.recorder.missing(step.number, step.view, "the plan has no such view".to_owned()).await;
                 continue;
             };
-            if let Some((ending, why)) = self.step(job, bench, (&mut memory, listener), (view, step)).await {
-                self.go(Input::End(ending)).await;
-                return why;
+            if let Some(ended) = self.step(job, bench, (&mut *memory, &mut *listener), (view, step)).await {
+                return ended;
             }
         }
-        self.recorder.flush().await;
-        let (ending, why) = failure(&self.recorder).unwrap_or((Ending::Completed, None));
-        self.go(Input::End(ending)).await;
-        why
+        (Ending::Completed, None)
     }
 
     /// One step; `Some` when the run must end.

@@ -9,7 +9,7 @@ use crate::control::devices::bench::{Bench, DeviceId, Fault};
 use crate::control::events::Event;
 use crate::control::frames::acquire::{AcquireError, Acquired, Request, acquire};
 use crate::control::frames::bracket::Bracket;
-use crate::control::frames::guard::StreamHistory;
+use crate::control::frames::guard::{Rejection, StreamHistory};
 use crate::control::plan::{Step, Subject, View};
 use goniod_drivers::clock::Clock;
 use goniod_drivers::contract::CameraSettings;
@@ -33,6 +33,8 @@ pub(super) struct Memory {
     histories: BTreeMap<String, StreamHistory>,
     bracket: Bracket,
     bracket_view: Option<u32>,
+    /// The last frame of the bracket, kept back until the next one agrees with it.
+    held: Option<Held>,
     /// Devices to be opened anew before they are used.
     broken: BTreeSet<DeviceId>,
     /// Exposures given up in a row, by device.
@@ -46,6 +48,22 @@ pub(super) struct Hands<'a> {
     pub(super) memory: &'a mut Memory,
     pub(super) recorder: &'a Recorder,
     pub(super) clock: Clock,
+}
+
+/// A frame that passed the guard, and where it belongs.
+#[derive(Debug)]
+struct Held {
+    view: View,
+    step: Step,
+    acquired: Acquired,
+    rejected: u32,
+}
+
+/// How the tries of an exposure came out.
+enum Tried {
+    Passed(Acquired, u32),
+    Unfit(AcquireError, u32),
+    Ended(StepEnd),
 }
 
 enum Failure {
@@ -73,12 +91,56 @@ impl Hands<'_> {
         Ok(())
     }
 
-    /// Takes the frame of one step and hands it to the recorder.
+    /// Takes the frame of one step. It goes to the recorder when the next of its bracket agrees with it; where several
+    /// looks at the next contradict it, it is the one to be doubted and is taken again, once.
     pub(super) async fn take(&mut self, view: &View, step: &Step) -> StepEnd {
         if self.memory.bracket_view != Some(view.id) {
+            self.memory.release(self.recorder).await;
             self.memory.bracket = Bracket::default();
             self.memory.bracket_view = Some(view.id);
         }
+        let (mut doubted, mut before) = (false, 0);
+        loop {
+            let error = match self.tries(view, step).await {
+                Tried::Passed(acquired, rejected) => {
+                    self.hold(view, step, acquired, before + rejected).await;
+                    return StepEnd::Taken;
+                }
+                Tried::Ended(end) => return end,
+                Tried::Unfit(error, rejected) => {
+                    before += rejected;
+                    error
+                }
+            };
+            let Some((held, reason)) = (!doubted).then(|| self.memory.doubt(view, &error)).flatten() else {
+                return StepEnd::Missing(error.to_string());
+            };
+            doubted = true;
+            self.recorder.event(Event::FrameRejected { step: held.step.number, reason }).await;
+            if let Some(end) = self.again(view, &held).await {
+                return end;
+            }
+        }
+    }
+
+    /// Takes a doubted frame again; `Some` when the run must end.
+    async fn again(&mut self, view: &View, doubted: &Held) -> Option<StepEnd> {
+        let step = &doubted.step;
+        let reason = match self.tries(view, step).await {
+            Tried::Passed(acquired, rejected) => {
+                self.hold(view, step, acquired, doubted.rejected + 1 + rejected).await;
+                return None;
+            }
+            Tried::Unfit(error, _) => error.to_string(),
+            Tried::Ended(StepEnd::Missing(reason)) => reason,
+            Tried::Ended(end) => return Some(end),
+        };
+        self.recorder.missing(step.number, view.id, reason).await;
+        None
+    }
+
+    /// Tries an exposure until it passes, with bounded recovery.
+    async fn tries(&mut self, view: &View, step: &Step) -> Tried {
         let (mut failed, mut rejected) = (0, 0);
         loop {
             match self.try_once(view, step, &mut rejected).await {
@@ -86,16 +148,15 @@ impl Hands<'_> {
                     for id in needed(view) {
                         self.memory.given_up.remove(&id);
                     }
-                    self.keep(view, step, acquired, rejected).await;
-                    return StepEnd::Taken;
+                    return Tried::Passed(acquired, rejected);
                 }
-                Err(Failure::Unfit(error)) => return StepEnd::Missing(error.to_string()),
+                Err(Failure::Unfit(error)) => return Tried::Unfit(error, rejected),
                 Err(Failure::Fault(fault)) => {
                     failed += 1;
                     let device = fault.device.clone();
                     if let Some(end) = self.recover(fault, failed).await {
                         *self.memory.given_up.entry(device).or_default() += 1;
-                        return end;
+                        return Tried::Ended(end);
                     }
                 }
             }
@@ -183,9 +244,21 @@ impl Hands<'_> {
         Ok(())
     }
 
-    async fn keep(&mut self, view: &View, step: &Step, acquired: Acquired, rejected: u32) {
-        let Acquired { frame, picture, attempts } = acquired;
-        self.memory.bracket.add(step.exposure, picture);
+    /// Hands the frame held so far to the recorder and holds this one.
+    async fn hold(&mut self, view: &View, step: &Step, acquired: Acquired, rejected: u32) {
+        self.memory.release(self.recorder).await;
+        self.memory.bracket.add(step.exposure, acquired.picture.clone());
+        self.memory.held = Some(Held { view: view.clone(), step: step.clone(), acquired, rejected });
+    }
+}
+
+// === impl Memory ===
+
+impl Memory {
+    /// Hands the held frame to the recorder: nothing more can be said against it.
+    pub(super) async fn release(&mut self, recorder: &Recorder) {
+        let Some(Held { view, step, acquired, rejected }) = self.held.take() else { return };
+        let Acquired { frame, attempts, .. } = acquired;
         let info = &frame.info;
         let row = FrameRow {
             step: step.number,
@@ -198,8 +271,19 @@ impl Hands<'_> {
             attempts,
             rejected,
         };
-        let place = (view.camera.clone(), view.array_index, step.exposure_index);
-        self.recorder.frame(FrameEntry { place, frame, row }).await;
+        let place = (view.camera, view.array_index, step.exposure_index);
+        recorder.frame(FrameEntry { place, frame, row }).await;
+    }
+
+    /// The held frame, taken out, where it is what the looks at the next one contradict.
+    fn doubt(&mut self, view: &View, error: &AcquireError) -> Option<(Held, Rejection)> {
+        let AcquireError::Rejected { last: reason @ Rejection::Bracket(contradiction), .. } = error else {
+            return None;
+        };
+        let concerns = |held: &Held| held.view.id == view.id && held.step.exposure.0 == contradiction.other_us;
+        let held = self.held.take_if(|held| concerns(held))?;
+        self.bracket.remove(held.step.exposure);
+        Some((held, reason.clone()))
     }
 }
 

@@ -82,7 +82,7 @@ impl Listener {
     }
 }
 
-/// Turns SIGINT into stop, a second SIGINT and SIGTERM into abort, for as long as the runtime lives.
+/// Turns the first SIGINT or SIGTERM into stop and each further one into abort, for as long as the runtime lives.
 ///
 /// # Errors
 /// When the operating system refuses the handlers.
@@ -90,16 +90,16 @@ pub fn listen_to_signals(verbs: mpsc::Sender<Verb>) -> std::io::Result<()> {
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;
     tokio::spawn(async move {
-        let mut interrupted = false;
+        let mut verb = Verb::Stop;
         loop {
-            let verb = tokio::select! {
-                _ = terminate.recv() => Verb::Abort,
-                _ = interrupt.recv() => if interrupted { Verb::Abort } else { Verb::Stop },
-            };
-            interrupted = true;
+            tokio::select! {
+                _ = terminate.recv() => {}
+                _ = interrupt.recv() => {}
+            }
             if verbs.send(verb).await.is_err() {
                 return;
             }
+            verb = Verb::Abort;
         }
     });
     Ok(())

@@ -15,6 +15,8 @@ mod run;
 mod status;
 mod verify;
 
+pub use run::exit_of_bench;
+
 use clap::{Parser, Subcommand};
 use output::{Outcome, Output};
 use std::process::ExitCode;
@@ -54,7 +56,10 @@ enum Command {
 
 /// Parses the command line, runs the command and gives its exit code.
 pub fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => return refused(&error),
+    };
     init_logging();
     let output = Output { json: cli.json };
     let outcome = dispatch(cli.command, &output);
@@ -62,6 +67,18 @@ pub fn main() -> ExitCode {
         Ok(exit) => exit.into(),
         Err(failure) => output.failure(&failure).into(),
     }
+}
+
+/// What clap has to say: help and version as they are, a wrong command line as a failure like any other.
+fn refused(error: &clap::Error) -> ExitCode {
+    let json = std::env::args_os().any(|argument| argument == "--json");
+    if json && error.use_stderr() {
+        let failure = output::Failure::new(exit::Exit::Usage, error.to_string().trim_end());
+        return Output { json }.failure(&failure).into();
+    }
+    // Nobody can be told that standard error is closed.
+    let _ = error.print();
+    ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(exit::Exit::Usage.code()))
 }
 
 fn dispatch(command: Command, output: &Output) -> Outcome {

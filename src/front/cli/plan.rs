@@ -73,7 +73,7 @@ fn text(shown: &Shown<'_>, plan: &Plan, steps: bool) -> String {
         list(&mut out, plan);
     }
     for (what, seconds) in [
-        ("opening and homing", f.start_s),
+        ("begin and end", f.start_s),
         ("axes", f.moving_s),
         ("filters", f.filter_s),
         ("shutter", f.shutter_s),

@@ -1,0 +1,405 @@
+//! Promise: every label is true. The simulated cameras paint what they really saw into spare rows of each frame; an
+//! oracle reads stored files only and compares the painting with the plan. Zero wrong labels, also when the cameras
+//! cannot restart their streams and when they lie, lose frames or repeat them.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stderr)]
+
+mod common;
+
+use common::Lab;
+use goniod::archive::RunDir;
+use goniod::archive::rows::StepState;
+use goniod::archive::verify::verify;
+use goniod::config::check::{Options, check};
+use goniod::control::events::{Event, EventBus};
+use goniod::control::plan::document::RunDocument;
+use goniod::control::plan::{Step, Subject, View};
+use goniod::front::bench::{Faults, Rehearsal, open_simulated};
+use goniod::front::night;
+use goniod_drivers::clock::{Clock, UtcMicros};
+use goniod_drivers::frame::Pixels;
+use goniod_drivers::units::ExposureTime;
+use goniod_sim::camera::CameraFault;
+use goniod_sim::firmware::fw212c::WheelFault;
+use goniod_sim::firmware::outbox::WireFault;
+use goniod_sim::firmware::sc10::ShutterFault;
+use goniod_sim::oracle::read_pixels;
+use goniod_sim::twins::Fault;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+use tokio::sync::mpsc;
+
+/// Largest difference between commanded and true axis angle, millionths of a degree: two microsteps.
+const ANGLE_UDEG: f64 = 500.0;
+
+/// A diffuse sample with both cameras, all kinds of geometry, darks and references in between.
+const SCAN: &str = r#"
+name = "labels"
+[sample]
+thickness_mm = 4.0
+simulated = "../sim/samples/rough_glass.toml"
+[incidence]
+directions = [[0, 180], [35, 20], [60, 200]]
+sides = ["transmission-front", "reflection-front", "reflection-back"]
+[bands]
+use = ["f3", "f5", "nir1"]
+[exposure]
+policy = "ladder"
+ratio = 8.0
+shortest_s = 0.003
+longest_s = 2.0
+[dark]
+every_directions = 4
+frames = 1
+[reference]
+every_directions = 4
+"#;
+
+/// What the oracle says of a run.
+#[derive(Debug, Default)]
+struct Verdict {
+    stored: usize,
+    missing: usize,
+    wrong: Vec<String>,
+    /// Frames without light that came for others of their kind: the same picture at every exposure, nothing is wrong.
+    alike: usize,
+}
+
+/// Frames and steps of a run, from its files alone.
+struct Files {
+    dir: RunDir,
+    document: RunDocument,
+}
+
+// === impl Files ===
+
+impl Files {
+    fn open(run: &Path) -> Files {
+        let dir = RunDir::open(run).unwrap();
+        let document = toml::from_str(&dir.plan_toml().unwrap()).unwrap();
+        Files { dir, document }
+    }
+
+    fn steps(&self) -> impl Iterator<Item = (&Step, &View)> {
+        let plan = &self.document.plan;
+        plan.steps.iter().map(|step| (step, &plan.views[step.view as usize]))
+    }
+
+    fn pixels(&self, step: &Step, view: &View) -> Option<Pixels> {
+        self.dir.frames().read_frame(&view.camera, view.array_index, step.exposure_index).unwrap()
+    }
+
+    /// Judges every stored frame.
+    fn judge(&self) -> Verdict {
+        let mut verdict = Verdict::default();
+        let rows = self.dir.with(|j| j.steps()).unwrap();
+        let ids: BTreeMap<u32, u64> =
+            self.dir.with(|j| j.frames()).unwrap().iter().map(|f| (f.step, f.device_frame_id)).collect();
+        for ((step, view), row) in self.steps().zip(&rows) {
+            assert_eq!(row.layout.number, step.number);
+            match row.state {
+                StepState::Stored => verdict.stored += 1,
+                _ => {
+                    verdict.missing += 1;
+                    continue;
+                }
+            }
+            let Some(pixels) = self.pixels(step, view) else {
+                verdict.wrong.push(format!("step {}: the journal has it, the store has not", step.number));
+                continue;
+            };
+            let camera = &self.document.instrument.camera[&view.camera];
+            let mut found =
+                differences(&pixels, camera.width_px, camera.format.levels(), (step, view), ids[&step.number]);
+            if !found.is_empty() && same_pose(&found) && without_light(&pixels, self.reserved_pixels(view)) {
+                verdict.alike += 1;
+                found.clear();
+            }
+            verdict.wrong.extend(found.into_iter().map(|what| format!("step {}: {what}", step.number)));
+        }
+        verdict
+    }
+
+    fn reserved_pixels(&self, view: &View) -> usize {
+        let width = self.document.instrument.camera[&view.camera].width_px;
+        self.document.calibrations[&view.camera].geometry.reserved_rows * width
+    }
+
+    /// Mean level below the reserved rows.
+    fn mean_level(&self, step: &Step, view: &View) -> Option<f64> {
+        let pixels = self.pixels(step, view)?;
+        let first = self.reserved_pixels(view);
+        let sum: u64 = (first..pixels.len()).map(|i| u64::from(pixels.level(i))).sum();
+        Some(sum as f64 / (pixels.len() - first) as f64)
+    }
+
+    /// Reasons of all rejections in the journal, with their steps.
+    fn rejections(&self) -> Vec<(u32, String)> {
+        let events = self.dir.with(|j| j.events()).unwrap();
+        let parsed = events.iter().filter_map(|e| serde_json::from_str::<Event>(&e.json).ok());
+        parsed
+            .filter_map(|e| match e {
+                Event::FrameRejected { step, reason } => Some((step, format!("{reason:?}"))),
+                _ => None,
+            })
+            .collect()
+    }
+}
+
+/// Only exposure or counter differ.
+fn same_pose(found: &[String]) -> bool {
+    found.iter().all(|what| what.starts_with("exposure") || what.starts_with("frame counter"))
+}
+
+/// Every pixel of the picture is at zero.
+fn without_light(pixels: &Pixels, first: usize) -> bool {
+    (first..pixels.len()).all(|i| pixels.level(i) == 0)
+}
+
+/// How the painting differs from the label.
+fn differences(pixels: &Pixels, width: usize, levels: u32, (step, view): (&Step, &View), id: u64) -> Vec<String> {
+    let truth = match read_pixels(pixels, width, levels) {
+        Ok(truth) => truth,
+        Err(e) => return vec![e.to_string()],
+    };
+    let mut found = Vec::new();
+    let mut angle = |what: &str, true_udeg: i32, label_deg: f64| {
+        if (f64::from(true_udeg) - label_deg * 1e6).abs() > ANGLE_UDEG {
+            found.push(format!("{what} {} instead of {label_deg}", f64::from(true_udeg) / 1e6));
+        }
+    };
+    angle("tilt", truth.tilt_udeg, view.tilt_deg);
+    angle("spin", truth.spin_udeg, view.spin_deg);
+    if let Some(changer_deg) = view.changer_deg {
+        angle("changer", truth.changer_udeg, changer_deg);
+    }
+    let mut same = |what: &str, fits: bool| {
+        if !fits {
+            found.push(format!("{what}: {truth:?} under the label {view:?}, {:?}", step.exposure));
+        }
+    };
+    same("slot", truth.slot == Some(view.slot.0));
+    same("shutter", truth.shutter_open == (view.subject != Subject::Dark));
+    same("moved", !truth.moved);
+    same("exposure", truth.exposure == step.exposure);
+    same("frame counter", truth.frame == id as u32);
+    found
+}
+
+/// Rehearses through the command line and judges the files.
+fn rehearsed(lab: &Lab) -> Files {
+    let scan = lab.scan("labels.toml", SCAN);
+    Files::open(&lab.rehearse(&scan, "runs", &["--no-products"]))
+}
+
+/// Runs the night as `goniod rehearse` does, with faults put into the bench before it begins.
+async fn night_with(lab: &Lab, scan: &str, faults: impl FnOnce(&Faults)) -> (PathBuf, u32) {
+    let scan = lab.scan("faults.toml", scan);
+    let options = Options { drivers: Vec::new(), today: jiff::civil::date(2026, 3, 4) };
+    let checked = check(&scan, &lab.instrument(), &options).unwrap();
+    let clock = Clock::starting_at(UtcMicros(1_770_000_000_000_000));
+    let plan = night::plan(&checked).unwrap();
+    let mut opened = open_simulated(&checked, &Rehearsal::default(), clock).unwrap();
+    faults(opened.faults.as_ref().unwrap());
+    let night = night::prepare(&checked, plan, &lab.path("runs"), clock, opened.seed).unwrap();
+    let (_verbs, asked) = mpsc::channel(1);
+    let outcome = night::measure(&checked, &night, &mut opened, clock, asked, &EventBus::default()).await.unwrap();
+    assert!(outcome.is_safe(), "{outcome:?}");
+    let left: usize = opened.faults.as_ref().unwrap().cameras.values().map(|q| q.len()).sum();
+    assert_eq!(left, 0, "every fault has happened");
+    (night.path, outcome.summary.rejected)
+}
+
+fn nothing_wrong(verdict: &Verdict) {
+    assert!(verdict.wrong.is_empty(), "{} wrong labels:\n{}", verdict.wrong.len(), verdict.wrong.join("\n"));
+}
+
+#[test]
+fn a_good_night_has_no_wrong_label() {
+    let lab = Lab::small();
+    let files = rehearsed(&lab);
+    let verdict = files.judge();
+    nothing_wrong(&verdict);
+    assert_eq!((verdict.stored, verdict.missing), (files.document.plan.steps.len(), 0));
+    eprintln!("{} frames, 0 wrong labels", verdict.stored);
+}
+
+/// Cameras that run free and are three frames late with every setting.
+#[test]
+fn free_running_cameras_that_are_late_have_no_wrong_label() {
+    let lab = Lab::small();
+    lab.free_running(3);
+    let files = rehearsed(&lab);
+    let verdict = files.judge();
+    nothing_wrong(&verdict);
+    assert_eq!(verdict.missing, 0);
+    eprintln!("{} frames, 0 wrong labels", verdict.stored);
+}
+
+/// The oracle's own proof: a label that is changed by hand is found.
+#[test]
+fn the_oracle_finds_every_kind_of_wrong_label() {
+    let lab = Lab::small();
+    let files = rehearsed(&lab);
+    let (step, view) = files.steps().find(|(_, v)| v.band.as_deref() == Some("f5")).unwrap();
+    let pixels = files.pixels(step, view).unwrap();
+    let truth = read_pixels(&pixels, 352, 256).unwrap();
+    let id = u64::from(truth.frame);
+    let count = |step: &Step, view: &View, id: u64| differences(&pixels, 352, 256, (step, view), id).len();
+    assert_eq!(count(step, view, id), 0);
+    let changed: [fn(&mut View); 5] = [
+        |v| v.tilt_deg += 0.01,
+        |v| v.spin_deg -= 0.01,
+        |v| v.changer_deg = v.changer_deg.map(|c| c + 1.0),
+        |v| v.slot.0 += 1,
+        |v| v.subject = Subject::Dark,
+    ];
+    for change in changed {
+        let mut other = view.clone();
+        change(&mut other);
+        assert_eq!(count(step, &other, id), 1, "{other:?}");
+    }
+    assert_eq!(count(&Step { exposure: ExposureTime(step.exposure.0 + 1), ..step.clone() }, view, id), 1);
+    assert_eq!(count(step, view, id + 1), 1);
+}
+
+/// Without the painting: the levels of each bracket rise with exposure.
+#[test]
+fn mean_levels_rise_with_exposure() {
+    let lab = Lab::small();
+    let files = rehearsed(&lab);
+    let mut brackets: BTreeMap<u32, Vec<(ExposureTime, f64)>> = BTreeMap::new();
+    for (step, view) in files.steps().filter(|(_, v)| v.subject != Subject::Dark) {
+        let mean = files.mean_level(step, view).unwrap();
+        brackets.entry(view.id).or_default().push((step.exposure, mean));
+    }
+    let (mut pairs, mut lit) = (0, 0);
+    for (view, mut frames) in brackets {
+        frames.sort_by_key(|(t, _)| *t);
+        for pair in frames.windows(2) {
+            let [(_, short), (_, long)] = pair else { unreachable!("windows of two") };
+            assert!(long >= short, "view {view}: {frames:?}");
+            pairs += 1;
+            if *short > 1.0 {
+                assert!(*long > 1.3 * short, "view {view}: {frames:?}");
+                lit += 1;
+            }
+        }
+    }
+    assert!(pairs > 100 && lit > 50, "{pairs} pairs, {lit} of them lit");
+}
+
+/// Every kind of camera fault, again and again through the night, on the first, the middle and the last frame of
+/// brackets.
+#[tokio::test(start_paused = true)]
+async fn lying_cameras_leave_no_wrong_label() {
+    let lab = Lab::small();
+    let kinds = [
+        CameraFault::Stale,
+        CameraFault::Black,
+        CameraFault::Truncated,
+        CameraFault::SkippedId,
+        CameraFault::Late(Duration::from_secs(3)),
+        CameraFault::NoFrame,
+        CameraFault::Lost,
+    ];
+    let mut count = 0;
+    let (run, rejected) = night_with(&lab, SCAN, |faults| {
+        for (name, gaps) in [("ccd", [3, 7, 2, 5]), ("ingaas", [4, 2, 3, 1])] {
+            for (n, kind) in kinds.iter().cycle().take(if name == "ccd" { 28 } else { 14 }).enumerate() {
+                faults.cameras[name].pass(gaps[n % 4]);
+                faults.cameras[name].push(*kind);
+                count += 1;
+            }
+        }
+    })
+    .await;
+    let files = Files::open(&run);
+    let verdict = files.judge();
+    nothing_wrong(&verdict);
+    let rejections = files.rejections();
+    assert_eq!(rejections.len(), rejected as usize, "the journal tells each rejected frame");
+    for reason in ["Repeated", "Black", "Damaged"] {
+        assert!(rejections.iter().any(|(_, why)| why.starts_with(reason)), "no frame was rejected as {reason}");
+    }
+    assert_eq!(verdict.missing, 0, "each was taken again");
+    assert!(verify(&run).unwrap().whole());
+    assert!(verdict.alike < count / 4, "{} frames without light came for others", verdict.alike);
+    eprintln!(
+        "{count} faults, {rejected} frames rejected, {} stored, 0 wrong labels; {} black frames for black ones",
+        verdict.stored, verdict.alike
+    );
+}
+
+/// A sensor that integrates another time than its registers say, on each place of the lit brackets of one scan. Darks
+/// and frames without light look the same at every exposure, so they are left alone.
+#[tokio::test(start_paused = true)]
+async fn a_sensor_with_another_exposure_than_it_says_leaves_no_wrong_label() {
+    let scan = r#"
+name = "exposures"
+[sample]
+thickness_mm = 4.0
+simulated = "../sim/samples/lambertian_t20.toml"
+[incidence]
+directions = [[0, 180], [40, 180], [60, 0]]
+sides = ["transmission-front"]
+[bands]
+use = ["f3", "f5"]
+[exposure]
+policy = "ladder"
+ratio = 4.0
+shortest_s = 0.12
+longest_s = 2.0
+[dark]
+frames = 1
+"#;
+    for wrong in [ExposureTime(125_000), ExposureTime(500_000), ExposureTime(8_000_000)] {
+        for first in 3..7 {
+            let lab = Lab::small();
+            let (run, rejected) = night_with(&lab, scan, |faults| {
+                faults.cameras["ccd"].pass(first);
+                for _ in 0..4 {
+                    faults.cameras["ccd"].push(CameraFault::WrongExposure(wrong));
+                    faults.cameras["ccd"].pass(6);
+                }
+            })
+            .await;
+            let files = Files::open(&run);
+            let verdict = files.judge();
+            nothing_wrong(&verdict);
+            assert_eq!(verdict.missing, 0, "each was taken again: {:?}", files.rejections());
+            assert!(rejected >= 3, "{rejected} rejected: {:?}", files.rejections());
+            assert!(verify(&run).unwrap().whole());
+        }
+    }
+}
+
+/// Moving parts that trip, lose bytes or are turned by hand in the middle of the night.
+#[tokio::test(start_paused = true)]
+async fn moving_parts_that_fail_leave_no_wrong_label() {
+    let lab = Lab::small();
+    let (run, _) = night_with(&lab, SCAN, |faults| {
+        let twins = faults.twins.clone();
+        tokio::spawn(async move {
+            for round in 0..6 {
+                tokio::time::sleep(Duration::from_millis(31_700)).await;
+                twins.inject(match round {
+                    0 => Fault::Wheel(WheelFault::Button(1)),
+                    1 => Fault::Shutter(ShutterFault::FrontKey),
+                    2 => Fault::Wheel(WheelFault::Wire(WireFault::NoReply)),
+                    3 => Fault::Wheel(WheelFault::Restart),
+                    4 => Fault::Unplugged("sim:holder".to_owned(), Duration::from_secs(2)),
+                    _ => Fault::Shutter(ShutterFault::Wire(WireFault::Cut(2))),
+                });
+            }
+        });
+    })
+    .await;
+    let files = Files::open(&run);
+    let verdict = files.judge();
+    nothing_wrong(&verdict);
+    assert_eq!(verdict.missing, 0);
+    let events = files.dir.with(|j| j.events()).unwrap();
+    let errors = events.iter().filter(|e| e.kind == "device-error").count();
+    assert!(errors >= 2, "the journal tells what the devices did: {errors}");
+}
