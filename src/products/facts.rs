@@ -17,7 +17,7 @@ use std::collections::BTreeMap;
 /// The context of a run's products. Holds only the run's own dates.
 pub fn context(run: &Run, set: &BsdfSet, facts: &Facts) -> Result<ProductContext> {
     let (scan, instrument) = (&run.document.scan, &run.document.instrument);
-    let (serials, finished) = story(run)?;
+    let Story { serials, finished } = story(run)?;
     let sample = &scan.sample;
     Ok(ProductContext {
         run_id: run.document.run_id.clone(),
@@ -45,7 +45,13 @@ pub fn context(run: &Run, set: &BsdfSet, facts: &Facts) -> Result<ProductContext
 }
 
 /// Who answered, and when the last thing happened.
-fn story(run: &Run) -> Result<(Vec<(String, String)>, Option<Timestamp>)> {
+struct Story {
+    serials: Vec<(String, String)>,
+    finished: Option<Timestamp>,
+}
+
+/// Reads the story from the journal.
+fn story(run: &Run) -> Result<Story> {
     let events = run.dir.with(|journal| journal.events())?;
     let mut serials: Vec<(String, String)> = Vec::new();
     let mut finished = None;
@@ -61,7 +67,7 @@ fn story(run: &Run) -> Result<(Vec<(String, String)>, Option<Timestamp>)> {
             _ => {}
         }
     }
-    Ok((serials, finished))
+    Ok(Story { serials, finished })
 }
 
 fn normalisation(run: &Run) -> String {

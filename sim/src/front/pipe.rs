@@ -97,7 +97,7 @@ impl<T: Firmware> PipePort<T> {
         self.unplug();
         let port = self.clone();
         tokio::spawn(async move {
-            tokio::time::sleep(time).await;
+            Clock::system().sleep(time).await;
             port.plug();
         });
     }
@@ -127,20 +127,25 @@ impl<T: Firmware> Connector for PipeConnector<T> {
         self.inner.state.send_modify(|s| s.connection += 1);
         self.inner.twin().connected(Instant::now());
         let (near, far) = tokio::io::duplex(PIPE_BYTES);
-        tokio::spawn(serve(Arc::clone(&self.inner), far, self.inner.state.subscribe()));
+        tokio::spawn(serve(Arc::clone(&self.inner), far, self.inner.state.subscribe(), self.clock));
         Ok(Link::new(self.inner.name.clone(), near, self.clock))
     }
 }
 
 /// Carries bytes until the host closes, the adapter is pulled or a newer connection is made.
-async fn serve<T: Firmware>(inner: Arc<Inner<T>>, mut pipe: DuplexStream, mut state: watch::Receiver<State>) {
+async fn serve<T: Firmware>(
+    inner: Arc<Inner<T>>,
+    mut pipe: DuplexStream,
+    mut state: watch::Receiver<State>,
+    clock: Clock,
+) {
     let connection = state.borrow_and_update().connection;
     let mut chunk = [0_u8; 256];
     loop {
         let now = Instant::now();
         let bytes = inner.twin().take(now);
         if !bytes.is_empty() {
-            match tokio::time::timeout(HAND_OVER, pipe.write_all(&bytes)).await {
+            match clock.timeout(HAND_OVER, pipe.write_all(&bytes)).await {
                 Ok(Ok(())) | Err(_) => {}
                 Ok(Err(_)) => return,
             }
@@ -154,7 +159,7 @@ async fn serve<T: Firmware>(inner: Arc<Inner<T>>, mut pipe: DuplexStream, mut st
                     inner.twin().receive(bytes, Instant::now());
                 }
             },
-            () = tokio::time::sleep_until(due) => {}
+            () = clock.sleep_until(due) => {}
             changed = state.changed() => {
                 let s = *state.borrow_and_update();
                 if changed.is_err() || !s.plugged || s.connection != connection {
