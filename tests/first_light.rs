@@ -229,7 +229,7 @@ fn stopped_by(signals: &[&str]) {
     let begun = Instant::now();
     let stored = || {
         let status = lab.goniod(&["status", "--runs", "runs", "--json"]);
-        (status.code == 0).then(|| status.json()["runs"][0]["stored"].as_u64().unwrap_or(0)).unwrap_or(0)
+        if status.code == 0 { status.json()["runs"][0]["stored"].as_u64().unwrap_or(0) } else { 0 }
     };
     while stored() < 4 {
         assert!(begun.elapsed() < Duration::from_secs(60), "no frame after a minute");
