@@ -5,6 +5,8 @@
 //! `python3 -m venv .venv && .venv/bin/pip install -r tests/peers/requirements.txt`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stderr)]
 
+mod common;
+
 use goniod::engine::bsdf::set::{BsdfSet, Column, PatchValue, Quantity};
 use goniod::engine::optics::basis::AngleBasis;
 use goniod::engine::optics::direction::Direction;
@@ -15,6 +17,7 @@ use goniod::products::export::hdf5_nexus::write_hdf5;
 use goniod::products::export::klems_read::{KlemsFile, read_klems};
 use goniod::products::export::klems_xml::{klems_xml, klems_xml_band};
 use goniod::products::export::matrix::{FilledBlock, Origin, PATCHES};
+use goniod::products::reduce::{Run, reduce};
 use serde_json::Value;
 use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
@@ -212,4 +215,33 @@ fn h5py_follows_the_default_chain_and_finds_consistent_numbers() {
     assert_eq!(found["units"], "1/sr");
     assert_eq!(found["sides"], serde_json::json!(["Transmission Front", "Reflection Front"]));
     assert!(found["worst_sum"].as_f64().unwrap() < 1e-12);
+}
+
+/// The demo's scan measured with a small camera: what the run says of T and R is what both engines read from its file.
+#[test]
+fn the_demo_is_read_with_the_numbers_of_its_own_run() {
+    let Some(python) = python() else { return };
+    let lab = common::Lab::small();
+    let run = lab.rehearse(&lab.path("config/scans/demo.toml"), "runs", &[]);
+    let set = reduce(&Run::open(&run).unwrap()).unwrap().set;
+    let xml = run.join("products/bsdf.xml");
+    let visible = set.quantities.iter().position(|q| *q == Quantity::Visible).unwrap();
+    let of = |side: Side| -> Vec<f64> {
+        let columns = set.columns.iter().filter(|c| c.quantity == visible && c.side == side);
+        columns.map(|c| c.hemispherical).collect()
+    };
+    let directions = ["0,0", "10,0", "20,0", "30,0", "40,0", "50,0", "60,0", "70,0", "82.5,0"];
+    for reader in ["radiance", "lbnl"] {
+        let mut arguments = vec![reader, xml.to_str().unwrap()];
+        arguments.extend(directions);
+        let peer = ask(&python, "klems.py", &arguments);
+        for (key, side) in [("T", Side::TransmissionFront), ("Rf", Side::ReflectionFront)] {
+            let got: Vec<f64> = peer[key].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect();
+            let ours = of(side);
+            assert_eq!(got.len(), ours.len());
+            for ((direction, g), e) in directions.iter().zip(&got).zip(&ours) {
+                assert!((g - e).abs() < TOLERANCE, "{reader} {key} at {direction}: {g} instead of {e}");
+            }
+        }
+    }
 }

@@ -20,6 +20,8 @@ use std::path::{Path, PathBuf};
 
 /// Folder of the run directory that holds products.
 pub const PRODUCTS: &str = "products";
+const KLEMS: &str = "Klems matrix, Visible and Solar: Radiance, WINDOW, EnergyPlus";
+const HDF5: &str = "everything with its uncertainty, NeXus layout: h5py, silx";
 
 /// A product.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -57,6 +59,8 @@ struct Maker<'a> {
     reduction: Reduction,
     context: ProductContext,
     written: Vec<Written>,
+    /// Exports of an earlier call.
+    earlier: Vec<Written>,
 }
 
 /// Everything the scan asks for, plots and report.
@@ -84,7 +88,7 @@ pub fn make(run: &Run, products: &[Product]) -> Result<Made> {
     let reduction = reduce(run)?;
     let context = context(run, &reduction.set, &reduction.facts)?;
     let folder = run.dir.path().join(PRODUCTS);
-    let mut maker = Maker { run, folder, reduction, context, written: Vec::new() };
+    let mut maker = Maker { run, folder, reduction, context, written: Vec::new(), earlier: Vec::new() };
     for product in products {
         match product {
             Product::KlemsXml => maker.klems()?,
@@ -129,7 +133,7 @@ impl Maker<'_> {
         let uncertainty = self.context.uncertainty_summary(set);
         let xml =
             klems_xml(&self.context, &blocks(self.run, set, visible), &blocks(self.run, set, solar), &uncertainty)?;
-        self.write("bsdf.xml", xml.as_bytes(), "Klems matrix, Visible and Solar: Radiance, WINDOW, EnergyPlus")
+        self.write("bsdf.xml", xml.as_bytes(), KLEMS)
     }
 
     fn klems_bands(&mut self) -> Result<()> {
@@ -148,7 +152,7 @@ impl Maker<'_> {
         let path = self.folder.join("bsdf.h5");
         std::fs::create_dir_all(&self.folder)?;
         write_hdf5(&path, &self.reduction.set, &self.context, &spectra(self.run))?;
-        let what = "everything with its uncertainty, NeXus layout: h5py, silx".to_owned();
+        let what = HDF5.to_owned();
         self.written.push(Written { path, what });
         Ok(())
     }
@@ -189,7 +193,8 @@ impl Maker<'_> {
     fn report(&mut self) -> Result<()> {
         let mut figures = Vec::new();
         let mut files = Vec::new();
-        for w in &self.written {
+        self.find_earlier();
+        for w in self.earlier.iter().chain(&self.written) {
             let bytes = std::fs::read(&w.path)?;
             let name = w.path.strip_prefix(&self.folder).unwrap_or(&w.path).display().to_string();
             files.push(ProductFile { name: name.clone(), what: w.what.clone(), sha256: sha256_hex(&bytes) });
@@ -200,6 +205,20 @@ impl Maker<'_> {
         }
         let page = report(&self.context, &self.reduction.set, &figures, &files);
         self.write("report.html", page.as_bytes(), "the report")
+    }
+}
+
+// === what lies there already ===
+
+impl Maker<'_> {
+    /// Exports that an earlier call made belong into the list of files too.
+    fn find_earlier(&mut self) {
+        for (name, what) in [("bsdf.xml", KLEMS), ("bsdf.h5", HDF5)] {
+            let path = self.folder.join(name);
+            if path.is_file() && !self.written.iter().any(|w| w.path == path) {
+                self.earlier.push(Written { path, what: what.to_owned() });
+            }
+        }
     }
 }
 
