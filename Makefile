@@ -25,7 +25,7 @@ validate: setup
 
 ## Ratios of the pixel pass against a plain implementation, in the same process.
 bench: setup
-	cargo bench
+	cargo bench --profile dev
 
 build: setup
 	cargo build
