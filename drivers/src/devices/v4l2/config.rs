@@ -120,7 +120,7 @@ impl V4l2Config {
 
     /// How a total exposure is split: number of frames and time of each; the sentence of refusal otherwise.
     pub fn split(&self, total_s: f64, most_in_words: u32) -> Result<(u16, f64), String> {
-        if !total_s.is_finite() || total_s < self.shortest_s {
+        if !total_s.is_finite() || total_s < self.shortest_s - 1e-9 {
             return Err(format!("an exposure of {total_s} s is shorter than the camera's {} s", self.shortest_s));
         }
         let frames = (total_s / self.longest_s - 1e-9).ceil().max(1.0);
@@ -156,5 +156,7 @@ mod tests {
         assert_eq!(config.split(25.0, 257), Ok((3, 25.0 / 3.0)));
         assert!(config.split(60.0, 1).is_err(), "16-bit words hold one 16-bit frame");
         assert!(config.split(f64::NAN, 257).is_err());
+        assert!(config.split(9e-5, 257).is_err_and(|e| e.contains("shorter than the camera's 0.0001 s")));
+        assert_eq!(config.split(100.0 * 1e-6, 257).map(|s| s.0), Ok(1), "100 us is not shorter than 0.1 ms");
     }
 }

@@ -246,7 +246,10 @@ impl Session {
         controls::write(&self.device, &self.config, raw)?;
         if !longer {
             self.interval(period_s)?;
-            self.start()?;
+            if self.ring.is_none() {
+                self.start()?;
+                controls::write(&self.device, &self.config, raw)?;
+            }
         }
         controls::read(&self.device, &self.config)
     }
@@ -367,7 +370,8 @@ impl Session {
     fn overdue(&mut self) -> Option<crate::error::DeviceError> {
         let now = sys::monotonic();
         let waited = now.saturating_sub(self.waiting_since);
-        if waited < self.patience() + MARGIN {
+        // While a change runs through the sensor a long exposure can follow a whole frame interval after a short one.
+        if waited < self.patience() * 2 + MARGIN {
             return None;
         }
         self.waiting_since = now;
