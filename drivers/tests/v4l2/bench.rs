@@ -20,9 +20,9 @@ pub struct Bench {
 
 /// What the acquire loop saw for one exposure.
 pub struct Acquired {
-    /// The frame it kept.
-    pub frame: Frame,
-    /// Frames it rejected before.
+    /// The frames it kept.
+    pub frames: Vec<Frame>,
+    /// Frames it rejected among them.
     pub rejected: u64,
 }
 
@@ -83,25 +83,31 @@ impl Bench {
         locked(&self.twin)
     }
 
-    /// Applies, arms and takes frames until one proves itself: not odd, next in number, started after the arming, with
-    /// the settings asked for.
-    pub async fn acquire(&mut self, want: CameraSettings) -> Acquired {
+    /// One frame under these settings that proves itself.
+    pub async fn acquire(&mut self, want: CameraSettings) -> Frame {
+        self.acquire_several(want, 1).await.frames.remove(0)
+    }
+
+    /// Applies, arms and takes frames until `count` have proven themselves: not odd, next in number, started after the
+    /// arming, with the settings asked for.
+    pub async fn acquire_several(&mut self, want: CameraSettings, count: usize) -> Acquired {
         let applied = self.camera.apply(want).await.expect("settings apply");
         assert_eq!(applied, want, "read back as commanded");
         let armed = self.camera.arm().await.expect("arms");
-        let mut rejected = 0;
+        let mut acquired = Acquired { frames: Vec::new(), rejected: 0 };
         let mut last = None;
-        loop {
+        while acquired.frames.len() < count {
             let frame = self.camera.next_frame().await.expect("a frame comes");
             let id = frame.info.device_frame_id;
             let gap = last.is_some_and(|l: u64| id != l + 1);
             last = Some(last.unwrap_or(0).max(id));
             let early = frame.info.exposure_start < armed.not_before;
             if frame.info.damaged || gap || early || frame.info.settings != want {
-                rejected += 1;
-                continue;
+                acquired.rejected += 1;
+            } else {
+                acquired.frames.push(frame);
             }
-            return Acquired { frame, rejected };
         }
+        acquired
     }
 }

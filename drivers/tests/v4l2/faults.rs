@@ -41,7 +41,7 @@ async fn io_errors_without_end_are_a_broken_camera_not_an_endless_loop() {
     bench.twin().dequeue_errors = (0, 0);
     bench.twin().stop_fails = false;
     bench.camera.open().await.unwrap();
-    assert!(label_is_true(&bench.acquire(settings(27, 4.0)).await.frame));
+    assert!(label_is_true(&bench.acquire(settings(27, 4.0)).await));
 }
 
 #[tokio::test]
@@ -62,7 +62,7 @@ async fn an_unplugged_camera_is_lost_until_opened_and_everything_is_proven_again
     bench.twin().plug_again();
     bench.camera.open().await.unwrap();
     assert_eq!(bench.twin().controls[&crate::shim::twin::GAMMA].value, 100, "defaults after the plug are undone");
-    assert!(label_is_true(&bench.acquire(settings(243, 3.0)).await.frame));
+    assert!(label_is_true(&bench.acquire(settings(243, 3.0)).await));
     assert_eq!(bench.twin().opens, 2);
 }
 
@@ -80,7 +80,7 @@ async fn a_call_that_hangs_is_left_and_a_new_thread_takes_over() {
     // The hanging thread still owns the node; once the call returns it closes it and the new one has it alone.
     Clock::system().sleep(Duration::from_millis(2500)).await;
     bench.camera.open().await.unwrap();
-    assert!(label_is_true(&bench.acquire(settings(243, 3.0)).await.frame));
+    assert!(label_is_true(&bench.acquire(settings(243, 3.0)).await));
 }
 
 #[tokio::test]

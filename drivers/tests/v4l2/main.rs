@@ -5,7 +5,7 @@
 //! answer within milliseconds of real time whatever the exposure is. `GONIOD_FULL=1` runs the full counts.
 
 #![allow(unsafe_code)] // the twin stands behind C's doors
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::missing_safety_doc)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stderr, clippy::missing_safety_doc)]
 
 mod bench;
 mod faults;

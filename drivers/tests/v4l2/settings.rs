@@ -21,7 +21,7 @@ async fn automatic_functions_go_off_first_and_fixed_controls_are_proven() {
     let value = |id| bench.twin().controls[&id].value;
     assert_eq!([EXPOSURE_AUTO, AUTOGAIN, GAMMA].map(value), [1, 0, 100]);
     let got = bench.acquire(settings(81, 7.0)).await;
-    assert!(label_is_true(&got.frame), "{:?}", truth(&got.frame));
+    assert!(label_is_true(&got), "{:?}", truth(&got));
     assert_eq!(bench.camera.info().identity.serial, "SN42");
 }
 
@@ -30,7 +30,7 @@ async fn automatic_functions_switched_on_by_another_program_are_switched_off_at_
     let mut bench = Bench::open(Plan::default(), config("settings-meddler")).await;
     bench.acquire(settings(81, 7.0)).await;
     bench.twin().set(AUTOGAIN, 1);
-    assert!(label_is_true(&bench.acquire(settings(27, 3.0)).await.frame));
+    assert!(label_is_true(&bench.acquire(settings(27, 3.0)).await));
     bench.twin().set(EXPOSURE_ABSOLUTE, 99);
     let error = bench.camera.arm().await.unwrap_err();
     assert_eq!(error.kind, ErrorKind::Broken);
@@ -62,7 +62,7 @@ async fn the_interval_makes_room_for_a_longer_exposure_also_when_it_cannot_chang
         let plan = Plan { interval_busy, forgets_at_start, ..Plan::default() };
         let mut bench = Bench::open(plan, config(name)).await;
         for raw in [10, 50_000, 10, 99_000, 5_000] {
-            assert!(label_is_true(&bench.acquire(settings(raw, 2.0)).await.frame), "{name}: {raw}");
+            assert!(label_is_true(&bench.acquire(settings(raw, 2.0)).await), "{name}: {raw}");
         }
         assert!(bench.twin().sensor.interval_ns < 1_000_000_000, "the interval came down again");
     }
@@ -87,11 +87,11 @@ async fn exposures_beyond_the_limit_are_sums_with_their_count_or_refused() {
     let wish = V4l2Config { sum_limit: 12, longest_s: 5.0, ..config("settings-sum") };
     let mut bench = Bench::open(plan, wish).await;
     let got = bench.acquire(settings(300_000, 1.0)).await;
-    let info = &got.frame.info;
+    let info = &got.info;
     assert_eq!(info.format, PixelFormat::Summed { mosaic: Some(BayerOrder::Rggb), bits: 8, exposures: 6 });
     assert_eq!((info.settings.exposure, info.format.levels()), (ExposureTime(30_000_000), 256 * 6));
     assert!(info.received - info.exposure_start >= std::time::Duration::from_secs(30));
-    let Pixels::U16(sums) = &got.frame.pixels else { panic!("sums are words") };
+    let Pixels::U16(sums) = &got.pixels else { panic!("sums are words") };
     let below = &sums[64..];
     let (low, high) = (6 * u16::from(level(50_000)), 6 * u16::from(level(50_000)) + 6);
     assert!(below.iter().all(|p| (low..=high).contains(p)), "six frames of 5 s each: {low} to {high}");
@@ -111,11 +111,24 @@ async fn lines_longer_than_their_pixels_are_unpadded_for_each_kind_of_format() {
         let plan = Plan { formats: vec![*b"MJPG", code], padding: 32, ..Plan::default() };
         let mut bench = Bench::open(plan, config(&name)).await;
         let got = bench.acquire(settings(81, 7.0)).await;
-        assert_eq!((got.frame.info.format, got.frame.pixels.len()), (format, 64 * 48));
-        assert!(label_is_true(&got.frame), "{name}");
+        assert_eq!((got.info.format, got.pixels.len()), (format, 64 * 48));
+        assert!(label_is_true(&got), "{name}");
         let base = u16::from(level(81));
-        assert!((64..64 * 48).all(|p| [base, base + 1].contains(&got.frame.pixels.level(p))), "{name}");
+        assert!((64..64 * 48).all(|p| [base, base + 1].contains(&got.pixels.level(p))), "{name}");
     }
+}
+
+/// The sensor of the paper at its full size, with a gamma that the bridge admits to.
+#[tokio::test]
+async fn a_full_sensor_passes_and_a_gamma_in_the_chain_is_said() {
+    let plan = Plan { size: (1392, 1040), transfer: 2, ..Plan::default() };
+    let wish = V4l2Config { width: 1392, height: 1040, ..config("settings-full-size") };
+    let mut bench = Bench::open(plan, wish).await;
+    let got = bench.acquire(settings(81, 7.0)).await;
+    assert_eq!(got.pixels.len(), 1392 * 1040);
+    assert!(label_is_true(&got));
+    let health = bench.camera.health().await.unwrap();
+    assert!(health.warnings.iter().any(|w| w.contains("not linear")), "{health:?}");
 }
 
 #[tokio::test]
@@ -123,8 +136,8 @@ async fn yuyv_works_with_its_warning() {
     let plan = Plan { formats: vec![*b"YUYV"], ..Plan::default() };
     let mut bench = Bench::open(plan, config("settings-yuyv")).await;
     let got = bench.acquire(settings(81, 7.0)).await;
-    assert_eq!((got.frame.info.format, got.frame.pixels.len()), (PixelFormat::Yuyv8, 2 * 64 * 48));
-    assert!(got.frame.info.format.caution().is_some());
+    assert_eq!((got.info.format, got.pixels.len()), (PixelFormat::Yuyv8, 2 * 64 * 48));
+    assert!(got.info.format.caution().is_some());
     let health = bench.camera.health().await.unwrap();
     assert!(health.warnings.iter().any(|w| w.starts_with("YUYV")), "{health:?}");
 }

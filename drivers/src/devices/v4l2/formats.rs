@@ -6,7 +6,7 @@
 use crate::frame::{PixelFormat, Pixels};
 
 /// A V4L2 format the driver can read, in order of preference.
-const TABLE: [(&[u8; 4], PixelFormat); 23] = [
+const TABLE: [(&[u8; 4], PixelFormat); 24] = [
     (b"RG16", PixelFormat::BayerRggb16),
     (b"GR16", PixelFormat::BayerGrbg16),
     (b"GB16", PixelFormat::BayerGbrg16),
@@ -30,6 +30,7 @@ const TABLE: [(&[u8; 4], PixelFormat); 23] = [
     (b"RGB3", PixelFormat::Rgb8),
     (b"BGR3", PixelFormat::Rgb8),
     (b"YUYV", PixelFormat::Yuyv8),
+    (b"UYVY", PixelFormat::Yuyv8),
 ];
 
 /// How pictures lie in the kernel's buffers, as read back from the device.
@@ -87,6 +88,8 @@ impl Layout {
         out.reserve_exact(values);
         if &self.fourcc == b"BGR3" {
             lines.for_each(|l| out.extend(l.as_chunks::<3>().0.iter().flat_map(|[b, g, r]| [*r, *g, *b])));
+        } else if &self.fourcc == b"UYVY" {
+            lines.for_each(|l| out.extend(l.as_chunks::<2>().0.iter().flat_map(|[c, y]| [*y, *c])));
         } else {
             lines.for_each(|l| out.extend_from_slice(l));
         }
@@ -135,6 +138,11 @@ mod tests {
         let l = layout(b"BGR3", 1, 2, 3);
         assert_eq!(l.unpack(&[1, 2, 3, 4, 5, 6], None), Pixels::U8(vec![3, 2, 1, 6, 5, 4]));
         assert_eq!(l.unpack(&[1, 2, 3], None), Pixels::U8(vec![3, 2, 1, 0, 0, 0]));
+    }
+
+    #[test]
+    fn uyvy_becomes_yuyv() {
+        assert_eq!(layout(b"UYVY", 2, 1, 4).unpack(&[1, 2, 3, 4], None), Pixels::U8(vec![2, 1, 4, 3]));
     }
 
     #[test]

@@ -16,7 +16,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
 use v4l::capability::Flags;
-use v4l::format::{FieldOrder, FourCC};
+use v4l::format::{FieldOrder, FourCC, TransferFunction};
 use v4l::video::Capture;
 use v4l::{Device, Format};
 
@@ -43,6 +43,7 @@ pub struct Session {
     pool: FramePool,
     device: Device,
     layout: Layout,
+    curve: Option<String>,
     ring: Option<Ring>,
     interval_s: Option<f64>,
     flight: Flight,
@@ -70,7 +71,7 @@ impl Session {
         let what = format!("opening {}", config.node.display());
         let device = Device::with_path(&config.node).map_err(|e| fault.io(&what, &e))?;
         let identity = identify(&device, &config)?;
-        let layout = negotiate(&device, &config)?;
+        let (layout, curve) = negotiate(&device, &config)?;
         controls::prepare(&device, &config)?;
         let info = CameraInfo {
             identity: identity.clone(),
@@ -88,6 +89,7 @@ impl Session {
             pool,
             device,
             layout,
+            curve,
             ring: None,
             interval_s: None,
             flight,
@@ -161,7 +163,7 @@ fn identify(device: &Device, config: &V4l2Config) -> Result<Identity> {
 }
 
 /// Chooses the format and size and reads back what the device made of them.
-fn negotiate(device: &Device, config: &V4l2Config) -> Result<Layout> {
+fn negotiate(device: &Device, config: &V4l2Config) -> Result<(Layout, Option<String>)> {
     let fault = Fault(&config.name);
     let offered: Vec<[u8; 4]> = device
         .enum_formats()
@@ -194,13 +196,11 @@ fn negotiate(device: &Device, config: &V4l2Config) -> Result<Layout> {
         ));
     }
     tracing::info!(camera = %config.name, format = %now, "picture format");
-    Ok(Layout {
-        fourcc,
-        format,
-        width: now.width as usize,
-        height: now.height as usize,
-        bytesperline: now.stride as usize,
-    })
+    let linear = matches!(now.transfer, TransferFunction::Default | TransferFunction::None);
+    let curve = (!linear)
+        .then(|| format!("the picture has transfer function {}, not linear: undo it before radiometry", now.transfer));
+    let (width, height, bytesperline) = (now.width as usize, now.height as usize, now.stride as usize);
+    Ok((Layout { fourcc, format, width, height, bytesperline }, curve))
 }
 
 // === impl Session: settings ===
@@ -332,6 +332,7 @@ impl Session {
                 .push(format!("{node} may change its number when plugged again; use its link under /dev/v4l/by-id"));
         }
         warnings.extend(self.layout.format.caution().map(str::to_owned));
+        warnings.extend(self.curve.clone());
         let c = self.flight.counters;
         let odd = c.lost + c.stale + c.repeated + c.damaged + c.short + c.no_signal;
         if odd + c.restarts > 0 {

@@ -94,6 +94,7 @@ impl Twin {
             height: height as u32,
             pixelformat: u32::from_le_bytes(code),
             field: self.plan.field,
+            xfer_func: self.plan.transfer,
             bytesperline: stride as u32,
             sizeimage: (stride * height) as u32,
             ..unsafe { std::mem::zeroed() }

@@ -59,6 +59,8 @@ pub struct Plan {
     pub stubborn: Option<u32>,
     /// Field order that pictures have (1 = progressive, 4 = interlaced).
     pub field: u32,
+    /// Transfer function that pictures have (0 = default, 2 = sRGB).
+    pub transfer: u32,
     /// Seed of everything random.
     pub seed: u64,
 }
@@ -186,6 +188,7 @@ impl Default for Plan {
             forgets_at_start: false,
             stubborn: None,
             field: 1,
+            transfer: 0,
             seed: 1,
         }
     }
