@@ -14,4 +14,6 @@ pub mod contract;
 pub mod devices;
 pub mod error;
 pub mod frame;
+pub mod table;
+pub mod transport;
 pub mod units;

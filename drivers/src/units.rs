@@ -54,7 +54,7 @@ impl ExposureTime {
 
     /// The integration time in seconds.
     pub fn seconds(self) -> f64 {
-        self.0 as f64 * 1e-6
+        self.0 as f64 / 1e6
     }
 
     /// The integration time as a duration.

@@ -1,4 +1,18 @@
 //! goniod-sim: the bench in software. Optics of its own (never the engine's), firmware twins that answer the devices'
 //! bytes, cameras that photograph the true state and paint it into reserved rows, an oracle that reads it back.
+//!
+//! - [`bench`]: a whole bench from its files; [`truth`]: its optics, samples and the true answers
+//! - [`firmware`]: devices as state machines; [`front`]: how they reach a link; [`twins`]: all of them together
+//! - [`camera`], [`stream`]: cameras with their latency and queues
+//! - [`paint`], [`oracle`]: the true state in the pixels, written and read; [`pose`]: what it consists of
 
+pub mod bench;
+pub mod camera;
+pub mod firmware;
+pub mod front;
+pub mod oracle;
+pub mod paint;
 pub mod pose;
+pub mod stream;
+pub mod truth;
+pub mod twins;

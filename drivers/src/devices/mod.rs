@@ -1,4 +1,45 @@
-//! The drivers, one file or folder each.
+//! The drivers, one device a file (the Zaber one with its codec, warnings and chain beside it).
 
+mod prompt;
+pub mod thorlabs_fw212c;
+pub mod thorlabs_sc10;
 #[cfg(feature = "v4l2")]
 pub mod v4l2;
+pub mod zaber_ascii;
+mod zaber_chain;
+pub mod zaber_protocol;
+pub mod zaber_warning;
+
+pub use thorlabs_fw212c::{Fw212c, WheelConfig};
+pub use thorlabs_sc10::{Sc10, ShutterConfig};
+pub use zaber_ascii::ZaberAxis;
+pub use zaber_chain::ZaberChain;
+
+use crate::units::{Degrees, DegreesPerSecond};
+use std::time::Duration;
+
+/// One rotation axis as the instrument file says it. All angles are angles of the axis itself: the mechanical zero of
+/// the table is added by the plan, not here.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AxisConfig {
+    /// Name in the instrument file (`tilt`, `spin`, `changer`).
+    pub name: String,
+    /// Device number in the chain, from 1.
+    pub device: u8,
+    /// Axis number of the device, from 1.
+    pub axis: u8,
+    /// Serial number that the device must report.
+    pub serial: String,
+    /// Lowest angle that may be commanded.
+    pub min: Degrees,
+    /// Highest angle that may be commanded.
+    pub max: Degrees,
+    /// Speed; written to the device.
+    pub speed: DegreesPerSecond,
+    /// Acceleration; written to the device.
+    pub acceleration_deg_per_s2: f64,
+    /// Largest accepted difference between commanded and read position.
+    pub tolerance: Degrees,
+    /// Wait after the axis stands.
+    pub settle: Duration,
+}

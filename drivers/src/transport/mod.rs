@@ -1,0 +1,22 @@
+//! Byte links and what is spoken over them: a [`Link`] reads whole lines or whole prompts, bounded and cancel-safe.
+//!
+//! A driver holds a [`Connector`], never a port: after a loss it connects again through the same object, whether that
+//! opens a serial line or a pipe to a firmware twin.
+
+mod link;
+mod serial;
+
+pub use link::{Link, Stream};
+pub use serial::SerialConnector;
+
+use crate::error::Result;
+use async_trait::async_trait;
+
+/// Opens a link, again and again.
+#[async_trait]
+pub trait Connector: Send {
+    /// The port as the instrument file names it, for messages.
+    fn port(&self) -> &str;
+    /// Opens the port; `Lost` when it is not there or cannot be opened.
+    async fn connect(&mut self) -> Result<Link>;
+}

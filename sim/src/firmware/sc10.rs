@@ -1,0 +1,196 @@
+//! Twin of the Thorlabs SC10 shutter controller with a head whose blade travels and is sensed.
+//!
+//! Source: the protocol sheet `thorlabs-sc10-shutter`.
+
+use super::Firmware;
+use super::motion::Track;
+use super::outbox::WireFault;
+use super::prompt::PromptPort;
+use std::time::Duration;
+use tokio::time::Instant;
+
+/// Time until a request is answered: a short reply at 9600 baud.
+const ANSWER: Duration = Duration::from_millis(8);
+/// Blade travel per second (1 = the whole way): 10 ms.
+const BLADE_SPEED: f64 = 100.0;
+
+/// Faults of the shutter.
+#[derive(Debug, Clone, PartialEq)]
+pub enum ShutterFault {
+    /// A fault of the wire, at the next reply.
+    Wire(WireFault),
+    /// The next request is not echoed.
+    EchoLost,
+    /// The next toggle is carried out, but its prompt does not come.
+    PromptLostAfterToggle,
+    /// The blade is stuck where it is (true) or freed.
+    Stuck(bool),
+    /// The sensor says open, whatever the blade does.
+    SensorDead(bool),
+    /// The interlock trips (true) or is restored; enable is dropped.
+    Interlock(bool),
+    /// Somebody presses the enable key.
+    FrontKey,
+    /// Somebody leaves this mode.
+    Mode(u8),
+    /// The next request is swallowed whole.
+    FirstSwallowed,
+    /// The controller restarts now.
+    Restart,
+    /// The next request makes it restart without an answer.
+    RestartOnCommand,
+}
+
+/// A shutter controller and its head.
+#[derive(Debug)]
+pub struct Sc10Twin {
+    port: PromptPort,
+    /// 0 closed, 1 open.
+    blade: Track,
+    enabled: bool,
+    mode: u8,
+    repeats: u8,
+    open_ms: u32,
+    shut_ms: u32,
+    interlock: bool,
+    stuck: bool,
+    sensor_dead: bool,
+    prompt_lost: bool,
+    swallow: bool,
+    restart_on_command: bool,
+}
+
+// === impl Sc10Twin ===
+
+impl Sc10Twin {
+    /// A controller powered up at `now`: closed, manual mode.
+    pub fn new(now: Instant) -> Sc10Twin {
+        Sc10Twin {
+            port: PromptPort::new(ANSWER),
+            blade: Track::at_rest(0.0, now),
+            enabled: false,
+            mode: 1,
+            repeats: 1,
+            open_ms: 100,
+            shut_ms: 100,
+            interlock: false,
+            stuck: false,
+            sensor_dead: false,
+            prompt_lost: false,
+            swallow: false,
+            restart_on_command: false,
+        }
+    }
+
+    /// True when light passes at `at`.
+    pub fn light_passes(&self, at: Instant) -> bool {
+        self.blade.position(at) >= 0.5
+    }
+
+    /// Lets a fault happen, now or at the next occasion.
+    pub fn inject(&mut self, fault: ShutterFault, now: Instant) {
+        match fault {
+            ShutterFault::Wire(fault) => self.port.inject(fault),
+            ShutterFault::EchoLost => self.port.mute_echo = true,
+            ShutterFault::PromptLostAfterToggle => self.prompt_lost = true,
+            ShutterFault::Stuck(stuck) => {
+                self.stuck = stuck;
+                self.follow(now);
+            }
+            ShutterFault::SensorDead(dead) => self.sensor_dead = dead,
+            ShutterFault::Interlock(tripped) => {
+                self.interlock = tripped;
+                self.enabled &= !tripped;
+                self.follow(now);
+            }
+            ShutterFault::FrontKey => self.toggle(now),
+            ShutterFault::Mode(mode) => self.mode = mode,
+            ShutterFault::FirstSwallowed => self.swallow = true,
+            ShutterFault::Restart => self.restart(now),
+            ShutterFault::RestartOnCommand => self.restart_on_command = true,
+        }
+    }
+
+    fn toggle(&mut self, now: Instant) {
+        self.enabled = !self.enabled && !self.interlock;
+        self.follow(now);
+    }
+
+    /// The blade follows enable, unless it is stuck.
+    fn follow(&mut self, now: Instant) {
+        if !self.stuck {
+            self.blade.go(now, f64::from(u8::from(self.enabled)), BLADE_SPEED, 0.0);
+        }
+    }
+
+    fn restart(&mut self, now: Instant) {
+        self.enabled = false;
+        self.mode = 1;
+        self.follow(now);
+        self.port.reset();
+        self.port.unasked(b"\0> ", now);
+    }
+
+    fn request(&mut self, line: &str, now: Instant) {
+        if std::mem::take(&mut self.swallow) {
+            return self.port.silence();
+        }
+        if std::mem::take(&mut self.restart_on_command) {
+            return self.restart(now);
+        }
+        match line {
+            "id?" | "*idn?" => self.port.value("THORLABS SC10 VERSION 1.07", now),
+            "ens?" => self.port.value(u8::from(self.enabled), now),
+            "mode?" => self.port.value(self.mode, now),
+            "rep?" => self.port.value(self.repeats, now),
+            "open?" => self.port.value(self.open_ms, now),
+            "shut?" => self.port.value(self.shut_ms, now),
+            "interlock?" => self.port.value(u8::from(self.interlock), now),
+            "closed?" => {
+                let closed = !self.sensor_dead && !self.light_passes(now);
+                self.port.value(u8::from(closed), now);
+            }
+            "ens" => {
+                self.toggle(now);
+                if std::mem::take(&mut self.prompt_lost) { self.port.silence() } else { self.port.done(now) }
+            }
+            _ => self.assign(line, now),
+        }
+    }
+
+    fn assign(&mut self, line: &str, now: Instant) {
+        let Some((name, value)) = line.split_once('=') else { return self.port.error("CMD_NOT_DEFINED", now) };
+        match (name, value.parse::<u32>().unwrap_or(u32::MAX)) {
+            ("mode", v @ 1..=5) => self.mode = v as u8,
+            ("rep", v @ 1..=99) => self.repeats = v as u8,
+            ("open", v @ 0..=999_999) => self.open_ms = v,
+            ("shut", v @ 0..=999_999) => self.shut_ms = v,
+            ("trig" | "xto", 0 | 1) => {}
+            ("mode" | "rep" | "open" | "shut" | "trig" | "xto", _) => return self.port.error("CMD_ARG_INVALID", now),
+            _ => return self.port.error("CMD_NOT_DEFINED", now),
+        }
+        self.port.done(now);
+    }
+}
+
+impl Firmware for Sc10Twin {
+    fn receive(&mut self, bytes: &[u8], now: Instant) {
+        for &byte in bytes {
+            if let Some(line) = self.port.byte(byte, now) {
+                self.request(&line, now);
+            }
+        }
+    }
+
+    fn due(&self) -> Option<Instant> {
+        self.port.due()
+    }
+
+    fn take(&mut self, now: Instant) -> Vec<u8> {
+        self.port.take(now)
+    }
+
+    fn connected(&mut self, _now: Instant) {
+        self.port.reset();
+    }
+}

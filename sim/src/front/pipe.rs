@@ -1,0 +1,166 @@
+//! A twin behind an in-memory pipe, in tokio's time: a night under a paused clock takes seconds.
+//!
+//! The port survives reconnections and can be pulled out and put back.
+
+use crate::firmware::Firmware;
+use async_trait::async_trait;
+use goniod_drivers::clock::Clock;
+use goniod_drivers::error::{DeviceError, ErrorKind, Result};
+use goniod_drivers::transport::{Connector, Link};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream};
+use tokio::sync::watch;
+use tokio::time::Instant;
+
+/// Bytes the pipe holds in each direction.
+const PIPE_BYTES: usize = 8192;
+/// Longest rest of a twin that has nothing to say.
+const IDLE: Duration = Duration::from_secs(3600);
+/// Limit for handing bytes to a host that does not read; what it does not take is lost, as on a serial line.
+const HAND_OVER: Duration = Duration::from_secs(1);
+
+/// A port with a twin behind it.
+pub struct PipePort<T> {
+    inner: Arc<Inner<T>>,
+}
+
+struct Inner<T> {
+    name: String,
+    twin: Mutex<T>,
+    state: watch::Sender<State>,
+}
+
+/// What the connection's task must know.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct State {
+    plugged: bool,
+    /// Counts connections; a task of an older one ends.
+    connection: u64,
+    /// Counts touches from outside, after which the twin may have something to say.
+    touches: u64,
+}
+
+/// Opens a [`PipePort`].
+pub struct PipeConnector<T> {
+    inner: Arc<Inner<T>>,
+    clock: Clock,
+}
+
+// === impl PipePort ===
+
+impl<T> Clone for PipePort<T> {
+    fn clone(&self) -> PipePort<T> {
+        PipePort { inner: Arc::clone(&self.inner) }
+    }
+}
+
+impl<T: Firmware> PipePort<T> {
+    /// A port called `name` (`sim:holder`).
+    pub fn new(name: impl Into<String>, twin: T) -> PipePort<T> {
+        let state = watch::Sender::new(State { plugged: true, connection: 0, touches: 0 });
+        PipePort { inner: Arc::new(Inner { name: name.into(), twin: Mutex::new(twin), state }) }
+    }
+
+    /// A connector for a driver.
+    pub fn connector(&self, clock: Clock) -> PipeConnector<T> {
+        PipeConnector { inner: Arc::clone(&self.inner), clock }
+    }
+
+    /// Looks at the twin, or changes it (faults); what it has to say then is sent.
+    pub fn with<R>(&self, act: impl FnOnce(&mut T) -> R) -> R {
+        let result = act(&mut self.inner.twin());
+        self.inner.state.send_modify(|s| s.touches += 1);
+        result
+    }
+
+    /// Looks at the twin's truth.
+    pub fn peek<R>(&self, look: impl FnOnce(&T) -> R) -> R {
+        look(&self.inner.twin())
+    }
+
+    /// Pulls the adapter out: the link dies, connecting fails.
+    pub fn unplug(&self) {
+        self.inner.state.send_modify(|s| {
+            s.plugged = false;
+            s.connection += 1;
+        });
+    }
+
+    /// Puts the adapter back.
+    pub fn plug(&self) {
+        self.inner.state.send_modify(|s| s.plugged = true);
+    }
+
+    /// Pulls the adapter out and puts it back after `time`.
+    pub fn unplug_for(&self, time: Duration) {
+        self.unplug();
+        let port = self.clone();
+        tokio::spawn(async move {
+            tokio::time::sleep(time).await;
+            port.plug();
+        });
+    }
+}
+
+// === impl Inner ===
+
+impl<T> Inner<T> {
+    fn twin(&self) -> MutexGuard<'_, T> {
+        self.twin.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+// === impl PipeConnector ===
+
+#[async_trait]
+impl<T: Firmware> Connector for PipeConnector<T> {
+    fn port(&self) -> &str {
+        &self.inner.name
+    }
+
+    async fn connect(&mut self) -> Result<Link> {
+        if !self.inner.state.borrow().plugged {
+            let what = format!("port {} is not there; plug the adapter in", self.inner.name);
+            return Err(DeviceError::new(ErrorKind::Lost, &self.inner.name, what));
+        }
+        self.inner.state.send_modify(|s| s.connection += 1);
+        self.inner.twin().connected(Instant::now());
+        let (near, far) = tokio::io::duplex(PIPE_BYTES);
+        tokio::spawn(serve(Arc::clone(&self.inner), far, self.inner.state.subscribe()));
+        Ok(Link::new(self.inner.name.clone(), near, self.clock))
+    }
+}
+
+/// Carries bytes until the host closes, the adapter is pulled or a newer connection is made.
+async fn serve<T: Firmware>(inner: Arc<Inner<T>>, mut pipe: DuplexStream, mut state: watch::Receiver<State>) {
+    let connection = state.borrow_and_update().connection;
+    let mut chunk = [0_u8; 256];
+    loop {
+        let now = Instant::now();
+        let bytes = inner.twin().take(now);
+        if !bytes.is_empty() {
+            match tokio::time::timeout(HAND_OVER, pipe.write_all(&bytes)).await {
+                Ok(Ok(())) | Err(_) => {}
+                Ok(Err(_)) => return,
+            }
+        }
+        let due = inner.twin().due().unwrap_or(now + IDLE);
+        tokio::select! {
+            read = pipe.read(&mut chunk) => match read {
+                Ok(0) | Err(_) => return,
+                Ok(n) => {
+                    let bytes = chunk.get(..n).unwrap_or_default();
+                    inner.twin().receive(bytes, Instant::now());
+                }
+            },
+            () = tokio::time::sleep_until(due) => {}
+            changed = state.changed() => {
+                let s = *state.borrow_and_update();
+                if changed.is_err() || !s.plugged || s.connection != connection {
+                    return;
+                }
+            }
+        }
+    }
+}
