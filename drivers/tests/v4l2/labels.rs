@@ -2,8 +2,10 @@
 
 use crate::bench::{Bench, config, label_is_true, settings};
 use crate::shim::twin::{Plan, Stamps};
-use goniod_drivers::contract::Camera;
+use goniod_drivers::clock::Clock;
+use goniod_drivers::contract::{Camera, Device};
 use goniod_drivers::devices::v4l2::V4l2Config;
+use std::time::Duration;
 
 /// Ten integration times, a factor 3 apart: 0.1 ms to 1.97 s.
 const TIMES: [u64; 10] = [1, 3, 9, 27, 81, 243, 729, 2187, 6561, 19_683];
@@ -108,7 +110,7 @@ async fn without_stamps_frames_are_counted_out() {
     let mut bench = Bench::open(plan, config("labels-unstamped")).await;
     let tally = sweep(&mut bench, 3).await;
     assert_eq!((tally.kept, tally.wrong), (60, 0));
-    let health = goniod_drivers::contract::Device::health(&mut bench.camera).await.unwrap();
+    let health = bench.camera.health().await.unwrap();
     assert!(health.warnings.iter().any(|w| w.contains("no usable time stamps")), "{health:?}");
 }
 
@@ -123,4 +125,24 @@ async fn an_arming_without_new_settings_waits_for_a_frame_that_starts_later() {
         assert!(frame.info.exposure_start >= armed.not_before);
         assert!(frame.info.received >= frame.info.exposure_start + frame.info.settings.exposure.duration());
     }
+}
+
+/// Instants of frames are those of the daemon's clock: what a guard compares with its own `now` must fit, however long
+/// the opening took.
+#[tokio::test]
+async fn the_cameras_instants_are_the_daemons() {
+    let slow = Duration::from_millis(300);
+    let before = Clock::system().now();
+    // As much real time for each wait as the twin's clock runs in it.
+    let plan = Plan { pace_us: 40_000, ..Plan::default() };
+    let mut bench = Bench::closed(plan, config("labels-instants"));
+    bench.twin().hang_us = slow.as_micros() as u32;
+    bench.camera.open().await.unwrap();
+    bench.camera.apply(settings(1, 1.0)).await.unwrap();
+    let armed = bench.camera.arm().await.unwrap();
+    let after = Clock::system().now();
+    assert!(armed.not_before >= before + slow, "{:?} after the beginning", armed.not_before - before);
+    assert!(armed.not_before <= after + Duration::from_millis(100));
+    let frame = bench.camera.next_frame().await.unwrap();
+    assert!(frame.info.exposure_start >= armed.not_before && frame.info.exposure_start < frame.info.received);
 }

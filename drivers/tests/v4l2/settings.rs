@@ -92,6 +92,7 @@ async fn exposures_beyond_the_limit_are_sums_with_their_count_or_refused() {
     assert_eq!((info.settings.exposure, info.format.levels()), (ExposureTime(30_000_000), 256 * 6));
     assert!(info.received - info.exposure_start >= std::time::Duration::from_secs(30));
     let Pixels::U16(sums) = &got.pixels else { panic!("sums are words") };
+    assert_eq!(bench.camera.info().format, info.format, "the camera says what its frames are now");
     let below = &sums[64..];
     let (low, high) = (6 * u16::from(level(50_000)), 6 * u16::from(level(50_000)) + 6);
     assert!(below.iter().all(|p| (low..=high).contains(p)), "six frames of 5 s each: {low} to {high}");

@@ -126,7 +126,9 @@ impl Camera for V4l2Camera {
     }
 
     async fn apply(&mut self, settings: CameraSettings) -> Result<CameraSettings> {
-        self.ask(|reply| Command::Apply(settings, reply)).await
+        let (applied, format) = self.ask(|reply| Command::Apply(settings, reply)).await?;
+        self.info.format = format;
+        Ok(applied)
     }
 
     async fn arm(&mut self) -> Result<Armed> {

@@ -14,6 +14,7 @@ use crate::frame::{Frame, FrameInfo, FramePool, PixelFormat, Pixels};
 use crate::units::ExposureTime;
 use std::sync::Arc;
 use std::time::Duration;
+use tokio::runtime::Handle;
 use tokio::time::Instant;
 use v4l::capability::Flags;
 use v4l::format::{FieldOrder, FourCC, TransferFunction};
@@ -49,7 +50,6 @@ pub struct Session {
     flight: Flight,
     applied: Option<Applied>,
     sum: Sum,
-    sums: u64,
     scratch: Option<Pixels>,
     restarts: u32,
     waiting_since: Duration,
@@ -66,7 +66,12 @@ impl Session {
     /// # Errors
     /// `Lost` without a node, `WrongDevice` for another camera, `Refused` when size or format are not on offer,
     /// `Busy` when another program streams.
-    pub fn open(config: Arc<V4l2Config>, clock: Clock, now: Instant, pool: FramePool) -> Result<(Session, CameraInfo)> {
+    pub fn open(
+        config: Arc<V4l2Config>,
+        clock: Clock,
+        runtime: &Handle,
+        pool: FramePool,
+    ) -> Result<(Session, CameraInfo)> {
         let fault = Fault(&config.name);
         let what = format!("opening {}", config.node.display());
         let device = Device::with_path(&config.node).map_err(|e| fault.io(&what, &e))?;
@@ -83,6 +88,10 @@ impl Session {
                 config.longest_s * f64::from(config.sum_limit.max(1)).min(f64::from(layout.summable())),
             ),
         };
+        let anchor = {
+            let _in = runtime.enter();
+            (sys::monotonic(), clock.now())
+        };
         let flight = Flight::new(config.settle_frames, Duration::from_secs_f64(config.readout_s.max(0.0)));
         let session = Session {
             clock,
@@ -95,11 +104,10 @@ impl Session {
             flight,
             applied: None,
             sum: Sum::default(),
-            sums: 0,
             scratch: None,
             restarts: 0,
             waiting_since: Duration::ZERO,
-            anchor: (sys::monotonic(), now),
+            anchor,
             opened_driver: identity.firmware,
             config,
         };
@@ -207,7 +215,9 @@ fn negotiate(device: &Device, config: &V4l2Config) -> Result<(Layout, Option<Str
 
 impl Session {
     /// Writes all settings, on a running stream, and returns them as read back.
-    pub fn apply(&mut self, want: CameraSettings) -> Result<CameraSettings> {
+    ///
+    /// Gives the format of the frames under these settings too: that of sums where the exposure is beyond the limit.
+    pub fn apply(&mut self, want: CameraSettings) -> Result<(CameraSettings, PixelFormat)> {
         let config = Arc::clone(&self.config);
         let fault = Fault(&config.name);
         let (frames, single_s) = config
@@ -232,7 +242,15 @@ impl Session {
         let single = Duration::from_secs_f64(single);
         self.flight.changed(sys::monotonic(), single);
         self.applied = Some(Applied { settings, raw: read, single, frames });
-        Ok(settings)
+        Ok((settings, self.format_of(frames)))
+    }
+
+    fn format_of(&self, frames: u16) -> PixelFormat {
+        if frames == 1 {
+            return self.layout.format;
+        }
+        let (mosaic, bits) = (self.layout.format.mosaic(), self.layout.format.bits());
+        PixelFormat::Summed { mosaic, bits, exposures: frames }
     }
 
     /// Frame interval before a longer exposure, after a shorter one; the values after STREAMON, where some drivers
@@ -416,7 +434,7 @@ impl Session {
         Some(self.pool.frame(info, pixels, Some(permit)))
     }
 
-    /// Adds a frame to the sum under way and hands the sum out when it is complete.
+    /// Adds a frame to the sum under way and hands the sum out, under the number of its last frame, when it is complete.
     fn deliver_sum(&mut self, applied: Applied, taken: &Taken, placed: &Placed, dequeued: Duration) -> Option<Frame> {
         if placed.odd || placed.after_loss {
             self.sum.clear();
@@ -434,10 +452,7 @@ impl Session {
             return None;
         };
         let pixels = self.sum.copy(buffer);
-        self.sums += 1;
-        let (mosaic, bits) = (self.layout.format.mosaic(), self.layout.format.bits());
-        let format = PixelFormat::Summed { mosaic, bits, exposures: applied.frames };
-        let info = self.info(applied, self.sums, (start, dequeued), format, false);
+        let info = self.info(applied, placed.id, (start, dequeued), self.format_of(applied.frames), false);
         Some(self.pool.frame(info, pixels, Some(permit)))
     }
 

@@ -6,7 +6,7 @@ use super::session::Session;
 use crate::clock::Clock;
 use crate::contract::{Armed, CameraInfo, CameraSettings, Health};
 use crate::error::{DeviceError, ErrorKind, Result};
-use crate::frame::{Frame, FramePool};
+use crate::frame::{Frame, FramePool, PixelFormat};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
@@ -25,8 +25,8 @@ pub type Reply<T> = oneshot::Sender<Result<T>>;
 pub enum Command {
     /// Open and prove.
     Open(Reply<CameraInfo>),
-    /// Write and read back.
-    Apply(CameraSettings, Reply<CameraSettings>),
+    /// Write and read back; with the format of the frames that follow.
+    Apply(CameraSettings, Reply<(CameraSettings, PixelFormat)>),
     /// Mark the moment; frames from now on carry this generation.
     Arm(u64, Reply<Armed>),
     /// Stop streaming.
@@ -140,11 +140,7 @@ impl Context {
         match command {
             Command::Open(reply) => {
                 *session = None;
-                let now = {
-                    let _in = self.runtime.enter();
-                    self.clock.now()
-                };
-                let opened = Session::open(Arc::clone(&self.config), self.clock, now, self.pool.clone());
+                let opened = Session::open(Arc::clone(&self.config), self.clock, &self.runtime, self.pool.clone());
                 let _ = reply.send(opened.map(|(open, info)| {
                     *session = Some(open);
                     info
