@@ -216,7 +216,10 @@ impl Twin {
 
     fn draw_fault(&mut self) -> Option<Fault> {
         self.sensor.clean += 1;
-        if self.plan.fault_every == 0 || self.sensor.clean <= CLEAN_BETWEEN || self.sensor.history.len() < 3 {
+        // What may come again must be good itself, or one fault would count as two.
+        let all_good =
+            self.sensor.history.len() == 3 && self.sensor.history.iter().all(|(done, _)| done.fault.is_none());
+        if self.plan.fault_every == 0 || self.sensor.clean <= CLEAN_BETWEEN || !all_good {
             return None;
         }
         if self.dice.below(self.plan.fault_every) != 0 {
