@@ -9,10 +9,14 @@
 //!                      archive/                    engine/               products/
 //! ```
 //!
+//! - [`archive`]: the run directory, the only code that writes run files
 //! - [`config`]: what people write becomes checked values
 //! - [`control`]: what happens in the night
 //! - [`engine`]: what the pictures mean
+//! - [`products`]: what people take away
 
+pub mod archive;
 pub mod config;
 pub mod control;
 pub mod engine;
+pub mod products;

@@ -144,7 +144,7 @@ pub enum ExposurePolicy {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Dark {
-    /// A set of darks after every so many directions; 0 = only at the start.
+    /// A set of darks after every so many directions (each side counts); 0 = only at the start.
     #[serde(default)]
     pub every_directions: u32,
     /// Frames a set takes of each exposure time.
@@ -156,7 +156,8 @@ pub struct Dark {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ReferenceRhythm {
-    /// Reference views at the start and after every so many directions; 0 = only at the start.
+    /// Reference views at the start, after every so many directions (each side counts) and at the end; 0 = only at
+    /// the start and at the end.
     #[serde(default)]
     pub every_directions: u32,
     /// How the BSDF is normalised.

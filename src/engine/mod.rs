@@ -4,4 +4,7 @@
 //! -> [`bsdf`] (normalise, eq. 1) -> [`spectra`] (bands -> totals, eq. 14 through a partition of unity).
 
 pub mod bsdf;
+pub mod error;
 pub mod optics;
+pub mod radiometry;
+pub mod spectra;

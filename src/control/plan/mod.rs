@@ -1,4 +1,13 @@
 //! Scan -> numbered steps in travel order, with a hash and a forecast. Pure.
+//!
+//! [`build`](build::build) makes the plan, [`order`] finds the way, [`forecast`] plays it through, [`hash`] seals it.
+
+pub mod build;
+pub mod forecast;
+pub mod hash;
+pub mod order;
+#[cfg(test)]
+mod tests;
 
 use crate::engine::optics::direction::Direction;
 use crate::engine::optics::side::Side;

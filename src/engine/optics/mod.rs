@@ -2,4 +2,8 @@
 
 pub mod basis;
 pub mod direction;
+pub mod ellipsoid;
+pub mod fisheye;
+pub mod pixel_map;
 pub mod side;
+mod split;

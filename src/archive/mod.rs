@@ -1,0 +1,33 @@
+//! The run directory: the only code that writes run files.
+//!
+//! ```text
+//! <runs>/<run-id>/
+//!   plan.toml         everything resolved                       written once, digest in the journal
+//!   calibration/ ...  files copied in, so that a run stands alone   (the same)
+//!   frames.zarr/      Zarr v3: a group, one array a camera; one chunk = one frame = one immutable file
+//!   journal.sqlite    steps, frames, events; the row of a frame is committed after its file is in place
+//!   journal.seal      digests over the closed journal
+//!   products/         can always be made again
+//! ```
+//!
+//! - [`rundir`]: makes, opens and closes a run directory
+//! - [`frames`]: the frame store
+//! - [`journal`]: steps, frames and events in SQLite; [`rows`]: what its rows mean
+//! - [`layout`]: the shape of a run: arrays and steps
+//! - [`verify`]: proves a run whole
+//! - [`disk`]: the atomic write everything goes through
+//! - [`error`]: what can go wrong, in the words of the person who must act
+
+pub mod disk;
+pub mod error;
+pub mod frames;
+pub mod journal;
+pub mod layout;
+pub mod rows;
+pub mod rundir;
+pub mod verify;
+
+pub use disk::write_atomic;
+pub use error::{ArchiveError, Result};
+pub use layout::{ArrayLayout, RunLayout, StepLayout};
+pub use rundir::{NewRun, RunDir};

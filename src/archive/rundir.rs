@@ -1,0 +1,228 @@
+//! One run directory: made whole or not at all, opened to read, opened to go on, closed with a seal.
+
+use super::disk::{Disk, RealDisk, make_folders, sha256_hex, sync_folder};
+use super::error::{ArchiveError, Result};
+use super::frames::{FrameStore, Stored};
+use super::journal::Journal;
+use super::layout::RunLayout;
+use super::rows::{EventRow, FileRow, FrameRow};
+use goniod_drivers::frame::Pixels;
+use std::fs;
+use std::path::{Component, Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// The resolved plan inside a run directory.
+pub const PLAN: &str = "plan.toml";
+/// The journal inside a run directory.
+pub const JOURNAL: &str = "journal.sqlite";
+/// Digests over the closed journal.
+pub const SEAL: &str = "journal.seal";
+
+/// What a new run starts from.
+#[derive(Debug, Clone)]
+pub struct NewRun<'a> {
+    /// Name of the run and of its folder.
+    pub run_id: &'a str,
+    /// Everything resolved, as TOML text.
+    pub plan_toml: &'a str,
+    /// Files copied in so that the run stands alone: path inside the run directory, bytes.
+    pub files: &'a [(PathBuf, Vec<u8>)],
+    /// Arrays and steps.
+    pub layout: &'a RunLayout,
+}
+
+/// An open run directory. Shared by the threads that store and read; each call is whole in itself.
+pub struct RunDir {
+    path: PathBuf,
+    store: FrameStore,
+    journal: Mutex<Option<Journal>>,
+    writable: bool,
+}
+
+// === impl RunDir ===
+
+impl RunDir {
+    /// Makes `<runs_dir>/<run_id>` and leaves it open to write. It appears whole, by one rename, or not at all.
+    ///
+    /// # Errors
+    /// [`ArchiveError::Exists`], [`ArchiveError::BadRunId`], [`ArchiveError::BadPath`], and the disk's kinds.
+    pub fn create(runs_dir: &Path, new: &NewRun<'_>) -> Result<RunDir> {
+        RunDir::create_on(runs_dir, new, Arc::new(RealDisk))
+    }
+
+    /// As [`RunDir::create`], the frames going through `disk`.
+    ///
+    /// # Errors
+    /// As [`RunDir::create`].
+    pub fn create_on(runs_dir: &Path, new: &NewRun<'_>, disk: Arc<dyn Disk>) -> Result<RunDir> {
+        check_id(new.run_id)?;
+        let path = runs_dir.join(new.run_id);
+        if path.exists() {
+            return Err(ArchiveError::Exists { path });
+        }
+        make_folders(runs_dir)?;
+        let building = runs_dir.join(format!(".new-{}", new.run_id));
+        // Left by a run that was killed while it was being made: it never had a frame.
+        let _ = fs::remove_dir_all(&building);
+        let built = fill(&building, new, Arc::clone(&disk)).and_then(|()| {
+            fs::rename(&building, &path).map_err(|e| ArchiveError::io("put the run into place", &path, &e))?;
+            sync_folder(runs_dir).map_err(|e| ArchiveError::io("sync the folder", runs_dir, &e))
+        });
+        if let Err(e) = built {
+            let _ = fs::remove_dir_all(&building);
+            return Err(e);
+        }
+        RunDir::with_journal(&path, Journal::open(&path.join(JOURNAL))?, disk, true)
+    }
+
+    /// Opens a run to read; it may be under way or closed.
+    ///
+    /// # Errors
+    /// [`ArchiveError::NotARun`] and [`ArchiveError::Journal`].
+    pub fn open(path: &Path) -> Result<RunDir> {
+        RunDir::with_journal(path, Journal::open_read_only(&journal_of(path)?)?, Arc::new(RealDisk), false)
+    }
+
+    /// Opens a run that was closed or cut short, to go on with it; its seal is broken until it is closed again.
+    ///
+    /// # Errors
+    /// As [`RunDir::open`], and the disk's kinds.
+    pub fn resume(path: &Path) -> Result<RunDir> {
+        let journal = Journal::open(&journal_of(path)?)?;
+        let seal = path.join(SEAL);
+        match fs::remove_file(&seal) {
+            Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+                return Err(ArchiveError::io("remove the seal", &seal, &e));
+            }
+            _ => {}
+        }
+        RunDir::with_journal(path, journal, Arc::new(RealDisk), true)
+    }
+
+    /// The run's folder.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The frames.
+    pub fn frames(&self) -> &FrameStore {
+        &self.store
+    }
+
+    /// The resolved plan's text.
+    ///
+    /// # Errors
+    /// [`ArchiveError::Io`] and the disk's kinds.
+    pub fn plan_toml(&self) -> Result<String> {
+        let path = self.path.join(PLAN);
+        fs::read_to_string(&path).map_err(|e| ArchiveError::io("read", &path, &e))
+    }
+
+    /// Works on the journal; one thread at a time.
+    ///
+    /// # Errors
+    /// [`ArchiveError::Closed`] after [`RunDir::close`], and those of `work`.
+    pub fn with<T>(&self, work: impl FnOnce(&mut Journal) -> Result<T>) -> Result<T> {
+        match self.lock().as_mut() {
+            Some(journal) => work(journal),
+            None => Err(ArchiveError::Closed { path: self.path.clone() }),
+        }
+    }
+
+    /// Stores a frame; when it returns, file and journal row survive a power failure. `row` comes without digest and size.
+    /// `event` makes the journal's event from what was stored. Blocks: call it on a blocking thread.
+    ///
+    /// # Errors
+    /// Those of [`FrameStore::put_frame`] and [`Journal::frame_stored`]; the step then stays planned.
+    pub fn store(
+        &self,
+        place: (&str, u32, u32),
+        pixels: &Pixels,
+        row: FrameRow,
+        event: impl FnOnce(&Stored) -> EventRow,
+    ) -> Result<FrameRow> {
+        let (camera, array_index, exposure_index) = place;
+        let stored = self.store.put_frame(camera, array_index, exposure_index, pixels)?;
+        let event = event(&stored);
+        let row = FrameRow { digest: stored.digest, bytes: stored.bytes, ..row };
+        self.with(|journal| journal.frame_stored(&row, &event))?;
+        Ok(row)
+    }
+
+    /// Closes the journal into its one file and seals it with digests. A run opened to read is only let go.
+    ///
+    /// # Errors
+    /// [`ArchiveError::Closed`] the second time, [`ArchiveError::Journal`] and the disk's kinds.
+    pub fn close(&self) -> Result<()> {
+        let journal = self.lock().take().ok_or_else(|| ArchiveError::Closed { path: self.path.clone() })?;
+        if !self.writable {
+            return Ok(());
+        }
+        let rows = journal.row_digest()?;
+        journal.close()?;
+        let file = self.path.join(JOURNAL);
+        let bytes = fs::read(&file).map_err(|e| ArchiveError::io("read", &file, &e))?;
+        super::write_atomic(&self.path.join(SEAL), seal_text(&sha256_hex(&bytes), &rows).as_bytes())
+    }
+
+    fn with_journal(path: &Path, journal: Journal, disk: Arc<dyn Disk>, writable: bool) -> Result<RunDir> {
+        let store = FrameStore::new(path, &journal.arrays()?, disk)?;
+        Ok(RunDir { path: path.to_path_buf(), store, journal: Mutex::new(Some(journal)), writable })
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Option<Journal>> {
+        // A thread that panicked has rolled its transaction back; the journal itself is sound.
+        self.journal.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The seal's text: digest of the journal file, digest of its rows.
+pub(super) fn seal_text(file: &str, rows: &str) -> String {
+    format!("journal.sqlite sha256 {file}\nrows sha256 {rows}\n")
+}
+
+fn journal_of(path: &Path) -> Result<PathBuf> {
+    let journal = path.join(JOURNAL);
+    if journal.is_file() {
+        return Ok(journal);
+    }
+    let message = format!("there is no {JOURNAL} in it");
+    Err(ArchiveError::NotARun { path: path.to_path_buf(), message })
+}
+
+fn fill(building: &Path, new: &NewRun<'_>, disk: Arc<dyn Disk>) -> Result<()> {
+    make_folders(building)?;
+    let store = FrameStore::new(building, &new.layout.arrays, disk)?;
+    let mut files = vec![(PathBuf::from(PLAN), new.plan_toml.as_bytes().to_vec())];
+    files.append(&mut store.metadata_files()?);
+    for (path, bytes) in new.files {
+        check_copied(path)?;
+        files.push((path.clone(), bytes.clone()));
+    }
+    let mut rows = Vec::with_capacity(files.len());
+    for (path, bytes) in &files {
+        super::write_atomic(&building.join(path), bytes)?;
+        let parts: Vec<_> = path.components().map(|c| c.as_os_str().to_string_lossy().into_owned()).collect();
+        rows.push(FileRow { path: parts.join("/"), digest: sha256_hex(bytes) });
+    }
+    Journal::create(&building.join(JOURNAL), new.run_id, new.layout, &rows)?.close()?;
+    sync_folder(building).map_err(|e| ArchiveError::io("sync the folder", building, &e))
+}
+
+fn check_id(id: &str) -> Result<()> {
+    let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '_' | '-');
+    if id.is_empty() || id.len() > 100 || id.starts_with('.') || !id.chars().all(allowed) {
+        return Err(ArchiveError::BadRunId { id: id.to_owned() });
+    }
+    Ok(())
+}
+
+fn check_copied(path: &Path) -> Result<()> {
+    let plain = path.components().all(|c| matches!(c, Component::Normal(_)));
+    let first = path.components().next().map(|c| c.as_os_str().to_string_lossy().into_owned()).unwrap_or_default();
+    let ours = first == PLAN || first.starts_with("journal.") || first == super::frames::FRAMES || first == "products";
+    if !plain || first.is_empty() || ours {
+        return Err(ArchiveError::BadPath { path: path.to_path_buf() });
+    }
+    Ok(())
+}

@@ -1,0 +1,359 @@
+//! Proves a run whole: every file, chunk and row against the digests taken when it was written.
+
+use super::disk::{TEMPORARY_PREFIX, sha256_hex};
+use super::error::{ArchiveError, Result};
+use super::frames::FRAMES;
+use super::journal::Journal;
+use super::rows::{FrameRow, StepRow, StepState, Summary};
+use super::rundir::{JOURNAL, RunDir, SEAL, seal_text};
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// One thing that is not as it was written.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Finding {
+    /// A file copied in at the start (plan, calibration, array metadata) has other bytes.
+    FileChanged(String),
+    /// A file copied in at the start is gone.
+    FileMissing(String),
+    /// A stored step's chunk is gone.
+    ChunkMissing(u32),
+    /// A stored step's chunk has other bytes.
+    ChunkChanged(u32),
+    /// A stored step's chunk has the right bytes and yet gives no frame.
+    ChunkUnreadable(u32),
+    /// A file in the frame store that no row speaks of.
+    ChunkWithoutRow(String),
+    /// Step and frame rows contradict each other.
+    RowsDisagree(u32),
+    /// SQLite finds damage, or the journal cannot be read.
+    JournalDamaged(String),
+    /// The closed journal is not the one that was sealed.
+    SealBroken(String),
+}
+
+/// What `verify` found.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Verification {
+    /// Damage; empty for a sound run.
+    pub findings: Vec<Finding>,
+    /// Steps by state, as the journal tells.
+    pub summary: Summary,
+    /// Steps that the run has.
+    pub steps: u32,
+    /// The journal was closed and sealed; false while a run is under way or after it was cut short.
+    pub sealed: bool,
+    /// Unfinished writes of a run that was cut short; harmless.
+    pub leftovers: Vec<String>,
+}
+
+// === impl Verification ===
+
+impl Verification {
+    /// Nothing that was written is changed or lost.
+    pub fn sound(&self) -> bool {
+        self.findings.is_empty()
+    }
+
+    /// Sound, closed, and every planned exposure is stored or listed as missing.
+    pub fn whole(&self) -> bool {
+        self.sound()
+            && self.sealed
+            && self.summary.planned == 0
+            && self.summary.stored + self.summary.missing == self.steps
+    }
+}
+
+/// Reads everything in a run directory and compares; writes nothing.
+///
+/// # Errors
+/// [`ArchiveError::NotARun`] for a folder without journal, [`ArchiveError::Io`] when a folder cannot be read. Damage is no
+/// error: it is in the report.
+pub fn verify(path: &Path) -> Result<Verification> {
+    let journal_path = path.join(JOURNAL);
+    if !journal_path.is_file() {
+        let message = format!("there is no {JOURNAL} in it");
+        return Err(ArchiveError::NotARun { path: path.to_path_buf(), message });
+    }
+    let mut report = Verification { sealed: path.join(SEAL).exists(), ..Verification::default() };
+    if let Err(e) = check_journal(path, &mut report).and_then(|()| check_run(path, &mut report)) {
+        match e {
+            ArchiveError::Io { .. } | ArchiveError::Failing { .. } => return Err(e),
+            damage => report.findings.push(Finding::JournalDamaged(damage.to_string())),
+        }
+    }
+    Ok(report)
+}
+
+fn check_journal(path: &Path, report: &mut Verification) -> Result<()> {
+    let file = path.join(JOURNAL);
+    let seal = match report.sealed {
+        true => fs::read(path.join(SEAL)).map_err(|e| ArchiveError::io("read", &path.join(SEAL), &e))?,
+        false => Vec::new(),
+    };
+    let bytes = fs::read(&file).map_err(|e| ArchiveError::io("read", &file, &e))?;
+    let journal = match Journal::open_read_only(&file) {
+        Ok(journal) => journal,
+        Err(e) => {
+            report.findings.push(Finding::JournalDamaged(e.to_string()));
+            return Ok(());
+        }
+    };
+    let damage = journal.integrity()?;
+    report.findings.extend(damage.into_iter().map(Finding::JournalDamaged));
+    if report.sealed && seal != seal_text(&sha256_hex(&bytes), &journal.row_digest()?).as_bytes() {
+        let message = format!("{JOURNAL} or {SEAL} was changed after the run was closed");
+        report.findings.push(Finding::SealBroken(message));
+    }
+    Ok(())
+}
+
+fn check_run(path: &Path, report: &mut Verification) -> Result<()> {
+    if report.findings.iter().any(|f| matches!(f, Finding::JournalDamaged(_))) {
+        return Ok(());
+    }
+    let run = RunDir::open(path)?;
+    let (steps, frames, files, summary) = run.with(|j| Ok((j.steps()?, j.frames()?, j.files()?, j.summary()?)))?;
+    report.summary = summary;
+    report.steps = steps.len() as u32;
+    for file in &files {
+        match fs::read(path.join(&file.path)) {
+            Ok(bytes) if sha256_hex(&bytes) == file.digest => {}
+            Ok(_) => report.findings.push(Finding::FileChanged(file.path.clone())),
+            Err(_) => report.findings.push(Finding::FileMissing(file.path.clone())),
+        }
+    }
+    let mut known: BTreeSet<PathBuf> =
+        files.iter().map(|f| path.join(&f.path)).filter(|f| f.starts_with(path.join(FRAMES))).collect();
+    let frames: BTreeMap<u32, FrameRow> = frames.into_iter().map(|f| (f.step, f)).collect();
+    for step in &steps {
+        check_step(&run, step, frames.get(&step.layout.number), &mut known, report);
+    }
+    for step in frames.keys().filter(|n| !steps.iter().any(|s| s.layout.number == **n)) {
+        report.findings.push(Finding::RowsDisagree(*step));
+    }
+    check_orphans(path, &path.join(FRAMES), &known, report)
+}
+
+fn check_step(
+    run: &RunDir,
+    step: &StepRow,
+    frame: Option<&FrameRow>,
+    known: &mut BTreeSet<PathBuf>,
+    report: &mut Verification,
+) {
+    let at = &step.layout;
+    let frame = match (&step.state, frame) {
+        (StepState::Stored, Some(frame)) => frame,
+        (StepState::Stored, None) | (_, Some(_)) => return report.findings.push(Finding::RowsDisagree(at.number)),
+        (_, None) => return,
+    };
+    let path = run.frames().chunk_path(&at.camera, at.array_index, at.exposure_index);
+    match fs::read(&path) {
+        Err(_) => report.findings.push(Finding::ChunkMissing(at.number)),
+        Ok(bytes) if bytes.len() as u64 != frame.bytes || sha256_hex(&bytes) != frame.digest => {
+            report.findings.push(Finding::ChunkChanged(at.number));
+        }
+        Ok(_) => match run.frames().read_frame(&at.camera, at.array_index, at.exposure_index) {
+            Ok(Some(_)) => {}
+            _ => report.findings.push(Finding::ChunkUnreadable(at.number)),
+        },
+    }
+    known.insert(path);
+}
+
+fn check_orphans(run: &Path, folder: &Path, known: &BTreeSet<PathBuf>, report: &mut Verification) -> Result<()> {
+    let read = |e: &std::io::Error| ArchiveError::io("read the folder", folder, e);
+    let mut paths = Vec::new();
+    for entry in fs::read_dir(folder).map_err(|e| read(&e))? {
+        paths.push(entry.map_err(|e| read(&e))?.path());
+    }
+    paths.sort();
+    for path in paths {
+        if path.is_dir() {
+            check_orphans(run, &path, known, report)?;
+        } else if !known.contains(&path) {
+            let name = path.strip_prefix(run).unwrap_or(&path).to_string_lossy().into_owned();
+            let temporary = path.file_name().is_some_and(|n| n.to_string_lossy().starts_with(TEMPORARY_PREFIX));
+            if temporary {
+                report.leftovers.push(name);
+            } else {
+                report.findings.push(Finding::ChunkWithoutRow(name));
+            }
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+    use crate::archive::rows::EventRow;
+    use crate::archive::{ArrayLayout, NewRun, RunLayout, StepLayout};
+    use goniod_drivers::frame::{PixelFormat, Pixels};
+
+    fn layout() -> RunLayout {
+        let format = PixelFormat::BayerRggb8;
+        let camera = "ccd".to_owned();
+        let step = |number| StepLayout {
+            number,
+            view: 0,
+            camera: camera.clone(),
+            array_index: 0,
+            exposure_index: number,
+            exposure_us: 1000 << number,
+        };
+        RunLayout {
+            plan_hash: "abc".to_owned(),
+            arrays: vec![ArrayLayout { camera: camera.clone(), views: 1, exposures: 3, rows: 4, columns: 4, format }],
+            steps: (0..3).map(step).collect(),
+        }
+    }
+
+    fn row(step: u32) -> FrameRow {
+        FrameRow {
+            step,
+            digest: String::new(),
+            bytes: 0,
+            utc_us: 1_000_000 + i64::from(step),
+            device_frame_id: u64::from(step),
+            exposure_us: 1000,
+            camera_serial: "S1".to_owned(),
+            attempts: 1,
+            rejected: 0,
+        }
+    }
+
+    fn event(seq: u64) -> EventRow {
+        EventRow { seq, utc_us: 5, kind: "frame-stored".to_owned(), json: "{}".to_owned() }
+    }
+
+    fn closed_run(runs: &Path) -> PathBuf {
+        let files = [(PathBuf::from("calibration/ccd.toml"), b"version = 1\n".to_vec())];
+        let new = NewRun { run_id: "night", plan_toml: "name = \"x\"\n", files: &files, layout: &layout() };
+        let run = RunDir::create(runs, &new).unwrap();
+        for step in 0..2 {
+            let pixels = Pixels::U8((0..16).map(|i| i * 3 + step as u8).collect());
+            run.store(("ccd", 0, step), &pixels, row(step), |_| event(u64::from(step))).unwrap();
+        }
+        run.with(|j| j.step_missing(2, "the camera was lost", &event(2))).unwrap();
+        run.close().unwrap();
+        run.path().to_path_buf()
+    }
+
+    fn all_files(folder: &Path) -> Vec<PathBuf> {
+        let mut files = Vec::new();
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() { files.extend(all_files(&path)) } else { files.push(path) }
+        }
+        files.sort();
+        files
+    }
+
+    #[test]
+    fn a_finished_run_is_whole_and_reading_it_leaves_no_trace() {
+        let runs = tempfile::tempdir().unwrap();
+        let path = closed_run(runs.path());
+        let before = all_files(&path);
+        let report = verify(&path).unwrap();
+        assert!(report.whole(), "{report:?}");
+        assert_eq!((report.summary.stored, report.summary.missing, report.summary.planned), (2, 1, 0));
+        let run = RunDir::open(&path).unwrap();
+        assert!(run.frames().read_frame("ccd", 0, 1).unwrap().is_some());
+        assert!(run.frames().read_frame("ccd", 0, 2).unwrap().is_none());
+        run.close().unwrap();
+        assert_eq!(all_files(&path), before);
+        assert!(!before.iter().any(|f| f.to_string_lossy().ends_with("-wal")));
+    }
+
+    #[test]
+    fn every_flipped_bit_in_every_file_is_found() {
+        let runs = tempfile::tempdir().unwrap();
+        let path = closed_run(runs.path());
+        for file in all_files(&path) {
+            let good = fs::read(&file).unwrap();
+            // Every bit of the small files, a spread of bits over the larger ones and all pages of the journal.
+            let stride = match good.len() {
+                0..=128 => 1,
+                129..=4096 => 31,
+                _ => 4099,
+            };
+            for bit in (0..good.len() * 8).step_by(stride) {
+                let mut bad = good.clone();
+                bad[bit / 8] ^= 1 << (bit % 8);
+                fs::write(&file, &bad).unwrap();
+                let report = verify(&path).unwrap();
+                assert!(!report.sound(), "{} bit {bit}", file.display());
+            }
+            fs::write(&file, &good).unwrap();
+        }
+        assert!(verify(&path).unwrap().whole());
+    }
+
+    #[test]
+    fn lost_and_foreign_chunks_are_found_and_unfinished_writes_are_harmless() {
+        let runs = tempfile::tempdir().unwrap();
+        let path = closed_run(runs.path());
+        let chunk = path.join("frames.zarr/ccd/c.0.0.0.0");
+        fs::write(path.join("frames.zarr/ccd/.tmp-c.0.2.0.0"), b"cut").unwrap();
+        assert!(verify(&path).unwrap().whole());
+        fs::copy(&chunk, path.join("frames.zarr/ccd/c.0.2.0.0")).unwrap();
+        fs::remove_file(&chunk).unwrap();
+        let findings = verify(&path).unwrap().findings;
+        let foreign = Finding::ChunkWithoutRow("frames.zarr/ccd/c.0.2.0.0".to_owned());
+        assert_eq!(findings, [Finding::ChunkMissing(0), foreign]);
+    }
+
+    #[test]
+    fn a_run_cut_short_is_sound_but_not_whole_until_it_is_gone_on_with() {
+        let runs = tempfile::tempdir().unwrap();
+        let new = NewRun { run_id: "night", plan_toml: "", files: &[], layout: &layout() };
+        let run = RunDir::create(runs.path(), &new).unwrap();
+        run.store(("ccd", 0, 0), &Pixels::U8(vec![9; 16]), row(0), |_| event(0)).unwrap();
+        let path = run.path().to_path_buf();
+        drop(run);
+        let report = verify(&path).unwrap();
+        assert!(report.sound() && !report.sealed && !report.whole(), "{report:?}");
+        let run = RunDir::resume(&path).unwrap();
+        assert_eq!(run.with(|j| j.next_seq()).unwrap(), 1);
+        run.with(|j| j.step_missing(1, "x", &event(1))).unwrap();
+        run.with(|j| j.step_missing(2, "x", &event(2))).unwrap();
+        run.close().unwrap();
+        assert!(verify(&path).unwrap().whole());
+    }
+
+    #[test]
+    fn two_equal_runs_give_byte_equal_files() {
+        let (a, b) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let (one, two) = (closed_run(a.path()), closed_run(b.path()));
+        let (files_one, files_two) = (all_files(&one), all_files(&two));
+        assert_eq!(files_one.len(), files_two.len());
+        for (x, y) in files_one.iter().zip(&files_two) {
+            assert_eq!(x.strip_prefix(&one).unwrap(), y.strip_prefix(&two).unwrap());
+            assert_eq!(fs::read(x).unwrap(), fs::read(y).unwrap(), "{}", x.display());
+        }
+    }
+
+    #[test]
+    fn a_run_is_made_once_and_whole_or_not_at_all() {
+        let runs = tempfile::tempdir().unwrap();
+        closed_run(runs.path());
+        let files = [(PathBuf::from("../out"), Vec::new())];
+        let make =
+            |run_id, files| RunDir::create(runs.path(), &NewRun { run_id, plan_toml: "", files, layout: &layout() });
+        assert!(matches!(make("night", &[]).err().unwrap(), ArchiveError::Exists { .. }));
+        assert!(matches!(make("a/b", &[]).err().unwrap(), ArchiveError::BadRunId { .. }));
+        assert!(matches!(make("other", &files).err().unwrap(), ArchiveError::BadPath { .. }));
+        let left: Vec<_> = fs::read_dir(runs.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+        assert_eq!(left, ["night"]);
+        let file = runs.path().join("file");
+        fs::write(&file, b"").unwrap();
+        let none = RunDir::create(&file, &NewRun { run_id: "x", plan_toml: "", files: &[], layout: &layout() });
+        assert!(none.err().unwrap().to_string().contains("file"));
+    }
+}

@@ -1,0 +1,246 @@
+//! What happens in a run, as typed events: the journal keeps them, progress displays and the report are made from them.
+
+use super::devices::safe::SafeResult;
+use super::frames::guard::Rejection;
+use super::sequencer::state::{Ending, State};
+use goniod_drivers::clock::UtcMicros;
+use goniod_drivers::contract::Identity;
+use goniod_drivers::error::ErrorKind;
+use serde::{Deserialize, Serialize};
+use tokio::sync::broadcast;
+
+/// Events a slow listener may fall behind before it loses the oldest.
+const LISTENER_BACKLOG: usize = 1024;
+
+/// One thing that happened.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case")]
+pub enum Event {
+    /// A run begins or goes on.
+    RunStarted {
+        /// Exposures of the plan.
+        steps: u32,
+        /// Exposures still to do.
+        to_do: u32,
+    },
+    /// The sequencer is in another state.
+    StateChanged {
+        /// Before.
+        from: State,
+        /// Now.
+        to: State,
+    },
+    /// A device was opened and told who it is.
+    DeviceOpened {
+        /// Name of the instrument file.
+        device: String,
+        /// What it said.
+        identity: Identity,
+    },
+    /// An exposure begins (not journalled).
+    StepStarted {
+        /// Step of the plan.
+        step: u32,
+        /// View of the plan.
+        view: u32,
+        /// Camera.
+        camera: String,
+        /// Integration time, microseconds.
+        exposure_us: u64,
+    },
+    /// A frame did not fit its label and was thrown away.
+    FrameRejected {
+        /// Step it was taken for.
+        step: u32,
+        /// Why.
+        reason: Rejection,
+    },
+    /// A frame is on the disk and in the journal.
+    FrameStored {
+        /// Step it was taken for.
+        step: u32,
+        /// Size of the chunk file.
+        bytes: u64,
+        /// Attempts it took.
+        attempts: u32,
+        /// Frames rejected on the way.
+        rejected: u32,
+    },
+    /// An exposure cannot be had and is listed as missing.
+    StepMissing {
+        /// Step of the plan.
+        step: u32,
+        /// View of the plan.
+        view: u32,
+        /// Why, one sentence.
+        reason: String,
+    },
+    /// A device gave an error.
+    DeviceError {
+        /// Name of the instrument file.
+        device: String,
+        /// Kind of the error.
+        error: Kind,
+        /// The device's sentence.
+        message: String,
+        /// What is done about it.
+        decision: String,
+    },
+    /// The archive gave an error.
+    ArchiveError {
+        /// One sentence.
+        message: String,
+    },
+    /// How far the run is (not journalled).
+    Progress {
+        /// Exposures stored.
+        stored: u32,
+        /// Exposures missing.
+        missing: u32,
+        /// Exposures of the plan.
+        steps: u32,
+    },
+    /// One device was asked to make itself safe.
+    SafeState {
+        /// Name of the instrument file.
+        device: String,
+        /// How it went.
+        outcome: SafeResult,
+    },
+    /// The run ended.
+    RunEnded {
+        /// How.
+        ending: Ending,
+        /// Exposures stored.
+        stored: u32,
+        /// Exposures missing.
+        missing: u32,
+        /// Exposures left as planned.
+        planned: u32,
+        /// What the operator must know, where there is something.
+        message: Option<String>,
+    },
+}
+
+/// Kind of a device's error, in journal and events.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Kind {
+    /// Works on something else.
+    Busy,
+    /// No answer in time.
+    Timeout,
+    /// An answer outside the protocol.
+    Garbled,
+    /// Understood and said no.
+    Refused,
+    /// The link is gone.
+    Lost,
+    /// Not the device the configuration names.
+    WrongDevice,
+    /// Reports a fault of its own.
+    Broken,
+}
+
+/// An event with its place in the run's history.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Stamped {
+    /// Rising number.
+    pub seq: u64,
+    /// When.
+    pub utc: UtcMicros,
+    /// What.
+    pub event: Event,
+}
+
+/// Where displays listen. Sending never waits: a listener that falls behind loses the oldest events and is told so.
+#[derive(Debug, Clone)]
+pub struct EventBus {
+    sender: broadcast::Sender<Stamped>,
+}
+
+// === impl Event ===
+
+impl Event {
+    /// False for what only a display needs.
+    pub fn journalled(&self) -> bool {
+        !matches!(self, Event::StepStarted { .. } | Event::Progress { .. })
+    }
+
+    /// The event's kind as its JSON names it.
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Event::RunStarted { .. } => "run-started",
+            Event::StateChanged { .. } => "state-changed",
+            Event::DeviceOpened { .. } => "device-opened",
+            Event::StepStarted { .. } => "step-started",
+            Event::FrameRejected { .. } => "frame-rejected",
+            Event::FrameStored { .. } => "frame-stored",
+            Event::StepMissing { .. } => "step-missing",
+            Event::DeviceError { .. } => "device-error",
+            Event::ArchiveError { .. } => "archive-error",
+            Event::Progress { .. } => "progress",
+            Event::SafeState { .. } => "safe-state",
+            Event::RunEnded { .. } => "run-ended",
+        }
+    }
+}
+
+// === impl Kind ===
+
+impl From<ErrorKind> for Kind {
+    fn from(kind: ErrorKind) -> Kind {
+        match kind {
+            ErrorKind::Busy => Kind::Busy,
+            ErrorKind::Timeout => Kind::Timeout,
+            ErrorKind::Garbled => Kind::Garbled,
+            ErrorKind::Refused => Kind::Refused,
+            ErrorKind::Lost => Kind::Lost,
+            ErrorKind::WrongDevice => Kind::WrongDevice,
+            ErrorKind::Broken => Kind::Broken,
+        }
+    }
+}
+
+// === impl EventBus ===
+
+impl Default for EventBus {
+    fn default() -> EventBus {
+        EventBus { sender: broadcast::Sender::new(LISTENER_BACKLOG) }
+    }
+}
+
+impl EventBus {
+    /// Listens from now on.
+    pub fn subscribe(&self) -> broadcast::Receiver<Stamped> {
+        self.sender.subscribe()
+    }
+
+    /// Tells all listeners; nobody listening is fine.
+    pub fn tell(&self, event: Stamped) {
+        // The only error is that nobody listens.
+        let _ = self.sender.send(event);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+
+    #[test]
+    fn the_kind_of_an_event_is_the_one_in_its_json_and_it_reads_back() {
+        let events = [
+            Event::RunStarted { steps: 3, to_do: 2 },
+            Event::StateChanged { from: State::Idle, to: State::Ended(Ending::Completed) },
+            Event::FrameRejected { step: 1, reason: Rejection::Damaged },
+            Event::SafeState { device: "shutter".to_owned(), outcome: SafeResult::Confirmed },
+            Event::Progress { stored: 1, missing: 0, steps: 3 },
+        ];
+        for event in events {
+            let json = serde_json::to_value(&event).unwrap();
+            assert_eq!(json["kind"], event.kind());
+            assert_eq!(serde_json::from_value::<Event>(json).unwrap(), event);
+        }
+    }
+}

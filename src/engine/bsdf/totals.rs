@@ -1,0 +1,112 @@
+//! Totals patch by patch: the readings of all bands and channels combined with optimal weights.
+
+use super::budget::{Budget, PatchBsdf};
+use crate::engine::error::EngineError;
+use crate::engine::spectra::combine::{Combiner, Weights};
+use std::collections::HashMap;
+
+/// Readings of one patch below this coverage are not combined.
+const LEAST_COVERAGE: f64 = 0.5;
+
+/// Combines `readings` (one list of patches a reading, in the order of the combiner's kernels) into one list of
+/// patches.
+///
+/// Random parts are independent between readings; every other part is one cause acting on all readings, but whether
+/// its effects have the same sign is not always known (response, drift between bands), so the larger of the coherent
+/// sum and the root of the sum of squares is taken. A patch uses the readings it has; which they are changes its
+/// weights.
+///
+/// # Errors
+/// As many readings as the combiner has kernels are needed, all with the same number of patches.
+pub fn combine(combiner: &Combiner, readings: &[&[PatchBsdf]]) -> Result<Vec<PatchBsdf>, EngineError> {
+    if readings.len() != combiner.readings() {
+        let (expected, got) = (combiner.readings(), readings.len());
+        return Err(EngineError::Length { what: "the list of readings to combine", expected, got });
+    }
+    let patches = readings.first().map_or(0, |r| r.len());
+    if let Some(odd) = readings.iter().find(|r| r.len() != patches) {
+        let what = "the patches of a reading";
+        return Err(EngineError::Length { what, expected: patches, got: odd.len() });
+    }
+    let mut cache: HashMap<Vec<bool>, Option<Weights>> = HashMap::new();
+    let mut out = Vec::with_capacity(patches);
+    for patch in 0..patches {
+        let here: Vec<PatchBsdf> =
+            readings.iter().map(|r| r.get(patch).copied().unwrap_or(PatchBsdf::nothing())).collect();
+        let used: Vec<bool> = here.iter().map(|p| p.bsdf.is_finite() && p.coverage >= LEAST_COVERAGE).collect();
+        let weights = cache.entry(used).or_insert_with_key(|used| combiner.weights(used));
+        out.push(weights.as_ref().map_or(PatchBsdf::nothing(), |w| total(w, &here)));
+    }
+    Ok(out)
+}
+
+fn total(w: &Weights, readings: &[PatchBsdf]) -> PatchBsdf {
+    let of = |f: fn(&PatchBsdf) -> f64| -> Vec<f64> { readings.iter().map(f).collect() };
+    let (y, random) = (of(|p| p.bsdf), of(|p| p.budget.random));
+    let cautious = |f: fn(&PatchBsdf) -> f64| {
+        let u = of(f);
+        w.correlated(&u).abs().max(w.independent(&u))
+    };
+    let noise = of(|p| p.budget.random.hypot(p.budget.floor));
+    let budget = Budget {
+        random: w.independent(&random),
+        floor: cautious(|p| p.budget.floor),
+        response: cautious(|p| p.budget.response),
+        scale: w.correlated(&of(|p| p.budget.scale)).abs(),
+        drift: cautious(|p| p.budget.drift),
+        geometry: [w.correlated(&of(|p| p.budget.geometry[0])), w.correlated(&of(|p| p.budget.geometry[1]))],
+        incidence: w.correlated(&of(|p| p.budget.incidence)).abs(),
+        vignetting: w.correlated(&of(|p| p.budget.vignetting)).abs(),
+        spectral: w.spectral(&y, &noise),
+        missing: cautious(|p| p.budget.missing),
+    };
+    let used = || readings.iter().zip(&w.c).filter(|(p, c)| **c != 0.0 && p.bsdf.is_finite()).map(|(p, _)| p);
+    let bsdf = w.value(&y);
+    PatchBsdf {
+        bsdf,
+        budget,
+        coverage: used().map(|p| p.coverage).fold(1.0, f64::min),
+        below_floor: used().map(|p| p.below_floor).fold(0.0, f64::max),
+        missing: used().map(|p| p.missing).fold(0.0, f64::max),
+        max: w.value(&of(|p| p.max)).max(bsdf),
+        lower_bound: w.value(&of(|p| p.lower_bound)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+    use crate::engine::spectra::combine::Prior;
+    use crate::engine::spectra::curve::Grid;
+    use crate::engine::spectra::kernels::Kernel;
+    use crate::engine::spectra::targets::radiometric;
+    use crate::engine::spectra::testdata;
+
+    fn patch(bsdf: f64) -> PatchBsdf {
+        let budget = Budget { random: 0.01 * bsdf, scale: 0.005 * bsdf, ..Budget::default() };
+        PatchBsdf { bsdf, budget, coverage: 1.0, max: bsdf, lower_bound: bsdf, ..PatchBsdf::nothing() }
+    }
+
+    #[test]
+    fn a_neutral_patch_is_exact_whatever_is_missing() {
+        let grid = Grid::engine();
+        let kernels = testdata::kernels(&grid);
+        let kernels: Vec<&Kernel> = kernels.iter().collect();
+        let target = radiometric(&grid, &grid.sample(&testdata::lamp()), [380.0, 945.0]);
+        let combiner = Combiner::new(&grid, &kernels, &target, Prior::default()).unwrap();
+        let mut readings = vec![vec![patch(0.2), patch(0.2), patch(0.2)]; 24];
+        readings[3][1] = PatchBsdf::nothing();
+        readings.iter_mut().for_each(|r| r[2] = PatchBsdf::nothing());
+        let slices: Vec<&[PatchBsdf]> = readings.iter().map(Vec::as_slice).collect();
+        let total = combine(&combiner, &slices).unwrap();
+        for p in &total[..2] {
+            assert!((p.bsdf / 0.2 - 1.0).abs() < 1e-9);
+            assert_eq!(p.budget.spectral, 0.0);
+            assert!((p.budget.scale - 0.001).abs() < 1e-12, "one scale for all readings");
+            assert!(p.budget.random < 0.002 && p.budget.random > 0.0002, "noise averages down");
+        }
+        assert!(total[2].bsdf.is_nan() && total[2].coverage == 0.0);
+        assert!(combine(&combiner, &slices[1..]).is_err());
+    }
+}

@@ -1,0 +1,10 @@
+//! What people take away: the BSDF in the formats other tools read, plots, and a report that says whether to trust it.
+//!
+//! [`context`] is what a product says about its run; [`export`] one file a format; [`plots`] the pictures;
+//! [`report`] the page with the verdict first. All are pure functions of the result and the context: the same
+//! input gives the same bytes.
+
+pub mod context;
+pub mod export;
+pub mod plots;
+pub mod report;
