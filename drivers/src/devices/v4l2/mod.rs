@@ -5,7 +5,7 @@
 //! - [`config`]: what must be told: control ids, units, latency, limits
 //! - [`camera`]: the async side, commands with deadlines
 //! - `worker`: the one named thread that owns the camera and never stops taking pictures
-//! - `session`: negotiation, settings, stream, recovery
+//! - `negotiate`: identity and picture format; `session`: settings, stream, recovery
 //! - `controls`: automatic functions off, write, read back
 //! - [`flight`]: which frame is fresh and has the new settings (pure)
 //! - [`formats`]: pixel formats and the one copy; `sum`: exposures beyond the driver's limit
@@ -17,6 +17,7 @@ mod controls;
 mod fault;
 pub mod flight;
 pub mod formats;
+mod negotiate;
 mod session;
 mod sum;
 mod sys;
