@@ -17,6 +17,66 @@ pub enum PixelFormat {
     Mono12,
     /// One value a pixel, 16-bit little-endian words.
     Mono16,
+    /// One value a pixel, 10 bit in little-endian 16-bit words.
+    Mono10,
+    /// Green-red / blue-green mosaic, 8 bit a pixel.
+    BayerGrbg8,
+    /// Green-blue / red-green mosaic, 8 bit a pixel.
+    BayerGbrg8,
+    /// Blue-green / green-red mosaic, 8 bit a pixel.
+    BayerBggr8,
+    /// Red-green / green-blue mosaic, 10 bit in little-endian 16-bit words.
+    BayerRggb10,
+    /// Green-red / blue-green mosaic, 10 bit in words.
+    BayerGrbg10,
+    /// Green-blue / red-green mosaic, 10 bit in words.
+    BayerGbrg10,
+    /// Blue-green / green-red mosaic, 10 bit in words.
+    BayerBggr10,
+    /// Red-green / green-blue mosaic, 12 bit in little-endian 16-bit words.
+    BayerRggb12,
+    /// Green-red / blue-green mosaic, 12 bit in words.
+    BayerGrbg12,
+    /// Green-blue / red-green mosaic, 12 bit in words.
+    BayerGbrg12,
+    /// Blue-green / green-red mosaic, 12 bit in words.
+    BayerBggr12,
+    /// Red-green / green-blue mosaic, 16-bit little-endian words.
+    BayerRggb16,
+    /// Green-red / blue-green mosaic, 16-bit words.
+    BayerGrbg16,
+    /// Green-blue / red-green mosaic, 16-bit words.
+    BayerGbrg16,
+    /// Blue-green / green-red mosaic, 16-bit words.
+    BayerBggr16,
+    /// Three values a pixel (red, green, blue), 8 bit each, already demosaiced by the camera.
+    Rgb8,
+    /// Luma and shared chroma, two values a pixel: not linear in light, last resort.
+    Yuyv8,
+    /// Sums of consecutive exposures of equal time in 16-bit words. `settings.exposure` is the whole time; each
+    /// of the `exposures` took its share, and value / levels is the mean NDL of one of them.
+    Summed {
+        /// Mosaic of the summed frames; `None` for one value a pixel.
+        mosaic: Option<BayerOrder>,
+        /// Bits of one summed frame.
+        bits: u8,
+        /// Number of frames in the sum.
+        exposures: u16,
+    },
+}
+
+/// Colours of a mosaic's first two rows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum BayerOrder {
+    /// Red-green / green-blue.
+    Rggb,
+    /// Green-red / blue-green.
+    Grbg,
+    /// Green-blue / red-green.
+    Gbrg,
+    /// Blue-green / green-red.
+    Bggr,
 }
 
 /// Pixel values, row by row; the variant follows the format.
@@ -74,12 +134,61 @@ pub struct FramePool {
 // === impl PixelFormat ===
 
 impl PixelFormat {
-    /// Number of digital levels the format can carry (2^bits).
+    /// Number of digital levels the format can carry: 2^bits, times the number of frames for a sum.
     pub fn levels(self) -> u32 {
+        (1 << u32::from(self.bits())) * self.exposures()
+    }
+
+    /// Bits of one value as the sensor gave it.
+    pub fn bits(self) -> u8 {
+        use PixelFormat::*;
         match self {
-            PixelFormat::BayerRggb8 | PixelFormat::Mono8 => 1 << 8,
-            PixelFormat::Mono12 => 1 << 12,
-            PixelFormat::Mono16 => 1 << 16,
+            BayerRggb8 | BayerGrbg8 | BayerGbrg8 | BayerBggr8 | Mono8 | Rgb8 | Yuyv8 => 8,
+            BayerRggb10 | BayerGrbg10 | BayerGbrg10 | BayerBggr10 | Mono10 => 10,
+            BayerRggb12 | BayerGrbg12 | BayerGbrg12 | BayerBggr12 | Mono12 => 12,
+            BayerRggb16 | BayerGrbg16 | BayerGbrg16 | BayerBggr16 | Mono16 => 16,
+            Summed { bits, .. } => bits,
+        }
+    }
+
+    /// Order of the colour mosaic; `None` for mono, RGB and YUYV.
+    pub fn mosaic(self) -> Option<BayerOrder> {
+        use PixelFormat::*;
+        match self {
+            BayerRggb8 | BayerRggb10 | BayerRggb12 | BayerRggb16 => Some(BayerOrder::Rggb),
+            BayerGrbg8 | BayerGrbg10 | BayerGrbg12 | BayerGrbg16 => Some(BayerOrder::Grbg),
+            BayerGbrg8 | BayerGbrg10 | BayerGbrg12 | BayerGbrg16 => Some(BayerOrder::Gbrg),
+            BayerBggr8 | BayerBggr10 | BayerBggr12 | BayerBggr16 => Some(BayerOrder::Bggr),
+            Summed { mosaic, .. } => mosaic,
+            _ => None,
+        }
+    }
+
+    /// Values a pixel: 3 for RGB, 2 for YUYV, else 1.
+    pub fn values_per_pixel(self) -> usize {
+        match self {
+            PixelFormat::Rgb8 => 3,
+            PixelFormat::Yuyv8 => 2,
+            _ => 1,
+        }
+    }
+
+    /// Exposures in one frame: more than one for a sum.
+    pub fn exposures(self) -> u32 {
+        match self {
+            PixelFormat::Summed { exposures, .. } => u32::from(exposures),
+            _ => 1,
+        }
+    }
+
+    /// What must be said beside every product made from this format; `None` for values linear in the sensor's levels.
+    pub fn caution(self) -> Option<&'static str> {
+        match self {
+            PixelFormat::Yuyv8 => {
+                Some("YUYV: chroma shared between two pixels and not linear, radiance from it is an estimate")
+            }
+            PixelFormat::Rgb8 => Some("RGB: demosaiced by the camera, neighbouring pixels are not independent"),
+            _ => None,
         }
     }
 }
@@ -122,6 +231,13 @@ impl FramePool {
         let permit = Arc::clone(&self.permits).acquire_owned().await.ok();
         let buffer = self.free.lock().ok().and_then(|mut free| free.pop());
         (buffer, permit)
+    }
+
+    /// A free place without waiting, as [`FramePool::take`]; `None` when all are in use.
+    pub fn try_take(&self) -> Option<(Option<Pixels>, OwnedSemaphorePermit)> {
+        let permit = Arc::clone(&self.permits).try_acquire_owned().ok()?;
+        let buffer = self.free.lock().ok().and_then(|mut free| free.pop());
+        Some((buffer, permit))
     }
 
     /// A frame whose buffer returns to this pool when it is dropped.

@@ -7,7 +7,7 @@
 use super::disk::{Disk, make_folders, sha256_hex};
 use super::error::{ArchiveError, Result};
 use super::layout::ArrayLayout;
-use goniod_drivers::frame::{PixelFormat, Pixels};
+use goniod_drivers::frame::Pixels;
 use std::collections::BTreeMap;
 use std::num::NonZeroU64;
 use std::path::{Path, PathBuf};
@@ -133,13 +133,10 @@ impl CameraArray {
         let chunk: Option<Vec<NonZeroU64>> = frame.iter().map(|n| NonZeroU64::new(*n)).collect();
         let chunk = chunk.ok_or_else(|| no_place(format!("{} x {} pixels", layout.columns, layout.rows)))?;
         let shape = vec![u64::from(layout.views), u64::from(layout.exposures), frame[2], frame[3]];
-        let mut builder = match layout.format {
-            PixelFormat::BayerRggb8 | PixelFormat::Mono8 => {
-                ArrayBuilder::new(shape, frame.to_vec(), data_type::uint8(), 0_u8)
-            }
-            PixelFormat::Mono12 | PixelFormat::Mono16 => {
-                ArrayBuilder::new(shape, frame.to_vec(), data_type::uint16(), 0_u16)
-            }
+        let mut builder = if layout.format.levels() > 256 {
+            ArrayBuilder::new(shape, frame.to_vec(), data_type::uint16(), 0_u16)
+        } else {
+            ArrayBuilder::new(shape, frame.to_vec(), data_type::uint8(), 0_u8)
         };
         builder
             .dimension_names(["view", "exposure", "row", "column"].into())
@@ -208,6 +205,7 @@ mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
     use crate::archive::disk::RealDisk;
+    use goniod_drivers::frame::PixelFormat;
 
     fn layout(camera: &str, format: PixelFormat) -> ArrayLayout {
         ArrayLayout { camera: camera.to_owned(), views: 3, exposures: 2, rows: 6, columns: 8, format }

@@ -3,6 +3,8 @@
 mod prompt;
 pub mod thorlabs_fw212c;
 pub mod thorlabs_sc10;
+#[cfg(feature = "v4l2")]
+pub mod v4l2;
 pub mod zaber_ascii;
 mod zaber_chain;
 pub mod zaber_protocol;

@@ -93,10 +93,8 @@ pub fn axis_s(axis: &Axis, from_deg: f64, to_deg: f64, timing: &Timing) -> f64 {
 
 /// Bytes of one pixel as it is stored.
 pub fn bytes_per_pixel(format: PixelFormat) -> u64 {
-    match format {
-        PixelFormat::BayerRggb8 | PixelFormat::Mono8 => 1,
-        PixelFormat::Mono12 | PixelFormat::Mono16 => 2,
-    }
+    let word = if format.levels() > 256 { 2 } else { 1 };
+    word * format.values_per_pixel() as u64
 }
 
 /// Plays views and steps through.
