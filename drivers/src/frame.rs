@@ -13,8 +13,12 @@ pub enum PixelFormat {
     BayerRggb8,
     /// One value a pixel, 8 bit.
     Mono8,
+    /// One value a pixel, 10 bit in little-endian 16-bit words.
+    Mono10,
     /// One value a pixel, 12 bit in little-endian 16-bit words.
     Mono12,
+    /// One value a pixel, 14 bit in little-endian 16-bit words.
+    Mono14,
     /// One value a pixel, 16-bit little-endian words.
     Mono16,
 }
@@ -78,7 +82,9 @@ impl PixelFormat {
     pub fn levels(self) -> u32 {
         match self {
             PixelFormat::BayerRggb8 | PixelFormat::Mono8 => 1 << 8,
+            PixelFormat::Mono10 => 1 << 10,
             PixelFormat::Mono12 => 1 << 12,
+            PixelFormat::Mono14 => 1 << 14,
             PixelFormat::Mono16 => 1 << 16,
         }
     }
@@ -122,6 +128,12 @@ impl FramePool {
         let permit = Arc::clone(&self.permits).acquire_owned().await.ok();
         let buffer = self.free.lock().ok().and_then(|mut free| free.pop());
         (buffer, permit)
+    }
+
+    /// A free place at once, or `None`: for threads that must not wait.
+    pub fn try_take(&self) -> Option<(Option<Pixels>, OwnedSemaphorePermit)> {
+        let permit = Arc::clone(&self.permits).try_acquire_owned().ok()?;
+        Some((self.free.lock().ok().and_then(|mut free| free.pop()), permit))
     }
 
     /// A frame whose buffer returns to this pool when it is dropped.

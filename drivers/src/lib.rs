@@ -11,6 +11,7 @@
 
 pub mod clock;
 pub mod contract;
+pub mod devices;
 pub mod error;
 pub mod frame;
 pub mod units;
