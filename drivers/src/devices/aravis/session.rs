@@ -71,6 +71,7 @@ pub struct Session {
     applied: Option<CameraSettings>,
     applied_at: Instant,
     frames_since_change: u32,
+    last_stamp: u64,
     counter: FrameCounter,
     generation: u64,
     running: bool,
@@ -105,6 +106,7 @@ impl Session {
             applied: None,
             applied_at: Instant::now(),
             frames_since_change: 0,
+            last_stamp: 0,
             counter: FrameCounter::default(),
             generation: 0,
             running: false,
@@ -273,13 +275,16 @@ impl Session {
         let pixels = if whole { format.unpack(raw::bytes(&buffer), count, used) } else { None };
         let damaged = pixels.is_none();
         let info = self.describe(&buffer, damaged);
+        let stamp = buffer.timestamp();
         self.stream.push_buffer(buffer);
         self.triggered = false;
         let counters = &self.outlet.counters;
         tick(if damaged { &counters.incomplete } else { &counters.complete });
-        if !damaged && info.exposure_start >= self.applied_at {
+        // Distinct time stamps are distinct exposures; a picture sent twice has gone through the sensor once.
+        if stamp > self.last_stamp && info.exposure_start >= self.applied_at {
             self.frames_since_change = self.frames_since_change.saturating_add(1);
         }
+        self.last_stamp = stamp;
         let pixels = pixels.unwrap_or_else(|| format.empty());
         let frame = self.outlet.pool.frame(info, pixels, Some(permit));
         // The channel is as deep as the pool: it is full only when nobody listens any more.
