@@ -55,7 +55,9 @@ impl Control {
 
     fn watch_heartbeat(&mut self) {
         let limit = Duration::from_millis(u64::from(self.shared.registers().get(a::HEARTBEAT_MS)));
-        if self.shared.controller().is_some() && self.last_heard.elapsed() > limit {
+        let held = self.shared.controller().is_some();
+        if held && self.last_heard.elapsed() > limit {
+            self.shared.traffic().heartbeats_missed += 1;
             drop_control(&self.shared, &self.orders);
         }
     }

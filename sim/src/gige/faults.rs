@@ -19,9 +19,9 @@ pub struct Faults {
     pub slow_answer: Option<Duration>,
     /// Writes are accepted from anybody, as cameras without access rules do after a restart.
     pub lax_access: bool,
-    /// Frames of 1,000 that are replaced by the picture before, with its old time stamp.
+    /// Frames of 1,000 that are replaced by the exposure before (sent or not), with its old time stamp.
     pub stale_per_1000: u32,
-    /// Frames of 1,000 that carry the pixels of the picture before under a fresh time stamp.
+    /// Frames of 1,000 that carry the pixels sent last once more, under a fresh time stamp.
     pub repeated_per_1000: u32,
     /// Frames of 1,000 that end in mid-picture, for good.
     pub short_per_1000: u32,
@@ -36,7 +36,7 @@ pub struct Faults {
 pub enum FrameFault {
     /// An older picture with its older time stamp.
     Stale,
-    /// The pixels of the picture before.
+    /// The pixels sent last, once more.
     Repeated,
     /// Ends in mid-picture.
     Short,
@@ -74,6 +74,8 @@ pub struct Traffic {
     pub resent: u64,
     /// Requests answered with an error status.
     pub refused: u64,
+    /// Times a controller was dropped because its heartbeat ceased.
+    pub heartbeats_missed: u64,
     /// Triggers that came while an exposure ran.
     pub triggers_ignored: u64,
 }

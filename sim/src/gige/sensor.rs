@@ -54,7 +54,10 @@ pub struct SensorThread {
     frame_number: u64,
     block_id: u16,
     sequence: u64,
+    /// The picture exposed last, sent or not.
     before: Option<Picture>,
+    /// The picture sent whole last.
+    sent: Option<Picture>,
     levels: Vec<u16>,
     packet: Vec<u8>,
     frame_draws: Draws,
@@ -80,6 +83,7 @@ impl SensorThread {
             block_id: 0,
             sequence: 0,
             before: None,
+            sent: None,
             levels: Vec::new(),
             packet: Vec::new(),
             frame_draws: Draws::new(seed),
@@ -195,14 +199,17 @@ impl SensorThread {
         {
             (shown, fault) = (before, Some(FrameFault::Stale));
         } else if self.frame_draws.happens(faults.repeated_per_1000)
-            && let Some(before) = self.before.clone()
+            && let Some(sent) = self.sent.clone()
         {
-            shown = Picture { stamp: picture.stamp, ..before };
+            shown = Picture { stamp: picture.stamp, ..sent };
             fault = Some(FrameFault::Repeated);
         } else if self.frame_draws.happens(faults.short_per_1000) {
             fault = Some(FrameFault::Short);
         }
         self.before = Some(picture);
+        if fault != Some(FrameFault::Short) {
+            self.sent = Some(shown.clone());
+        }
         let block = self.block(&exposure, &shown, fault == Some(FrameFault::Short));
         self.sequence += 1;
         self.shared.truth().push(Truth {

@@ -26,6 +26,8 @@ pub struct TwinConfig {
     pub readout: Duration,
     /// Pause after so many stream packets, where the host asks for no delay: spares small socket buffers.
     pub pace: Option<(u32, Duration)>,
+    /// Blocks kept for resend.
+    pub kept_blocks: usize,
     /// Seed of packet loss and frame faults.
     pub seed: u64,
 }
@@ -63,9 +65,6 @@ pub struct Shared {
     pub stop: AtomicBool,
 }
 
-/// Blocks kept for resend.
-const KEPT_BLOCKS: usize = 4;
-
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -87,6 +86,7 @@ impl TwinConfig {
             real_exposure: false,
             readout: Duration::from_millis(3),
             pace: Some((16, Duration::from_micros(60))),
+            kept_blocks: 16,
             seed: 1,
         }
     }
@@ -154,7 +154,7 @@ impl Shared {
     /// Keeps a block for resend.
     pub fn keep(&self, block: Block) {
         let mut sent = lock(&self.sent);
-        if sent.len() >= KEPT_BLOCKS {
+        if sent.len() >= self.config.kept_blocks.max(1) {
             sent.pop_front();
         }
         sent.push_back(block);

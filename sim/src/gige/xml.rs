@@ -182,6 +182,8 @@ fn categories(d: &mut Description) {
             "GevTimestampControlLatch",
             "GevTimestampValue",
             "GevSCPSPacketSize",
+            "GevSCPSFireTestPacket",
+            "GevSCPSDoNotFragment",
             "GevSCPD",
         ],
     );
@@ -246,6 +248,17 @@ fn transport(d: &mut Description) {
         "<Integer Name=\"GevTimestampValue\" NameSpace=\"Standard\"><pValue>GevTimestampValueRegister</pValue></Integer>"
     );
     d.register("IntReg", "GevTimestampValueRegister", a::STAMP_HIGH, 8, "RO", "Device");
+    for (name, bit) in [("GevSCPSFireTestPacket", 0), ("GevSCPSDoNotFragment", 1)] {
+        let _ = writeln!(
+            d.0,
+            "<Boolean Name=\"{name}\" NameSpace=\"Standard\"><pValue>{name}Register</pValue><OnValue>1</OnValue><OffValue>0</OffValue></Boolean>"
+        );
+        let _ = writeln!(
+            d.0,
+            "<MaskedIntReg Name=\"{name}Register\"><Address>0x{:x}</Address><Length>4</Length><AccessMode>RW</AccessMode><pPort>Device</pPort><Cachable>NoCache</Cachable><Bit>{bit}</Bit><Sign>Unsigned</Sign><Endianess>BigEndian</Endianess></MaskedIntReg>",
+            a::PACKET_SIZE
+        );
+    }
     let packet = "GevSCPSPacketSize";
     let _ = writeln!(
         d.0,

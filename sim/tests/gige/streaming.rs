@@ -56,7 +56,7 @@ fn small(frames: u64) -> Stream {
     Stream {
         size: (320, 256),
         format: (PixelCode::Mono16, WireFormat::Mono16),
-        fps: 200.0,
+        fps: 250.0,
         frames,
         drop_per_1000: 0,
         packet_socket: true,
@@ -64,7 +64,12 @@ fn small(frames: u64) -> Stream {
 }
 
 fn large(frames: u64) -> Stream {
-    Stream { size: (1280, 1024), format: (PixelCode::Mono8, WireFormat::Mono8), fps: 40.0, ..small(frames) }
+    Stream {
+        size: (1280, 1024),
+        format: (PixelCode::Mono8, WireFormat::Mono8),
+        fps: if full() { 50.0 } else { 30.0 },
+        ..small(frames)
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -36,8 +36,12 @@ use std::time::Duration;
 
 /// Longest time for opening: control may be waited for one heartbeat, a dead camera blocks 2.5 s a step.
 const OPEN_LIMIT: Duration = Duration::from_secs(8);
+/// How long a new opening waits for the old handle to be closed: it still writes to the camera while it closes.
+const CLOSING: Duration = Duration::from_secs(2);
 /// Owner threads that may hang in the library before opening once more is refused.
 const MOST_THREADS: usize = 8;
+
+const HEARTBEAT_LOST: &str = "the camera no longer obeys us (heartbeat lost); open it again";
 
 /// A camera behind Aravis.
 pub struct AravisCamera {
@@ -109,7 +113,7 @@ impl AravisCamera {
         let control_lost = *link.lost.borrow();
         if control_lost {
             self.void();
-            return Err(self.error(ErrorKind::Lost, "the camera no longer obeys us (heartbeat lost); open it again"));
+            return Err(self.error(ErrorKind::Lost, HEARTBEAT_LOST));
         }
         let result = link.call(&self.options, self.clock, self.options.command_limit, command).await;
         if let Err(error) = &result
@@ -143,7 +147,7 @@ impl AravisCamera {
         let deadline = self.clock.now() + limit;
         let (clock, generation) = (self.clock, self.generation);
         let Some(link) = self.link.as_mut() else { return Err(self.closed()) };
-        let timed_out = loop {
+        let (kind, message) = loop {
             tokio::select! {
                 biased;
                 delivered = link.frames.recv() => match delivered {
@@ -152,30 +156,33 @@ impl AravisCamera {
                         return Ok(d.frame);
                     }
                     Some(_) => {}
-                    None => break false,
+                    None => break (ErrorKind::Lost, "the camera's thread has ended; open it again".to_owned()),
                 },
-                _ = link.lost.wait_for(|lost| *lost) => break false,
-                () = clock.sleep_until(deadline) => break true,
+                _ = link.lost.wait_for(|lost| *lost) => break (ErrorKind::Lost, HEARTBEAT_LOST.to_owned()),
+                () = clock.sleep_until(deadline) => break (ErrorKind::Timeout, silent(limit)),
             }
         };
-        let error = if timed_out {
-            let message = format!(
-                "no frame within {:.1} s; check power and cable, then firewall and reverse-path filter for its UDP stream",
-                limit.as_secs_f64()
-            );
-            self.error(ErrorKind::Timeout, message)
-        } else {
-            self.error(ErrorKind::Lost, "the camera no longer obeys us (heartbeat lost); open it again")
-        };
+        let error = self.error(kind, message);
         self.void();
         Err(error)
     }
+}
+
+fn silent(limit: Duration) -> String {
+    let seconds = limit.as_secs_f64();
+    format!(
+        "no frame within {seconds:.1} s; check power and cable, then firewall and reverse-path filter for its UDP stream"
+    )
 }
 
 #[async_trait]
 impl Device for AravisCamera {
     async fn open(&mut self) -> Result<Identity> {
         self.void();
+        let give_up = self.clock.now() + CLOSING;
+        while self.threads() > 0 && self.clock.now() < give_up {
+            self.clock.sleep(Duration::from_millis(5)).await;
+        }
         if self.threads() >= MOST_THREADS {
             let message =
                 format!("{MOST_THREADS} earlier calls into the camera library never came back; restart the daemon");

@@ -229,7 +229,9 @@ fn make_stream(camera: &Camera, features: &Features, options: &AravisOptions) ->
         gv.set_socket_buffer_size(options.socket_buffer_bytes);
         gv.set_packet_resend(GvStreamPacketResend::Always);
         gv.set_packet_request_ratio(1.0);
-        gv.set_frame_retention(400_000);
+        // A camera remembers few frames: what was lost must be asked for again soon.
+        gv.set_packet_timeout(5_000);
+        gv.set_frame_retention(150_000);
     }
     for _ in 0..options.buffers.max(2) {
         stream.push_buffer(Buffer::new_allocate(payload as usize));

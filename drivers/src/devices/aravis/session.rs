@@ -161,13 +161,16 @@ impl Session {
             self.stop()?;
             self.start()?;
         }
-        self.drain();
+        let drained = self.drain();
         self.generation += 1;
         let not_before = self.mark_time()?;
         if self.options.trigger == Trigger::Software {
             self.trigger()?;
         }
-        let discard = self.options.discard_frames.saturating_sub(self.frames_since_change);
+        // Frames thrown away unseen could be sent once more under a fresh time stamp. The first frame after them is
+        // given up, so that its pixels are known when they come again.
+        let unseen = drained > 0 || self.options.trigger != Trigger::Software;
+        let discard = self.options.discard_frames.saturating_sub(self.frames_since_change).max(u32::from(unseen));
         Ok(ArmPoint { not_before, generation: self.generation, discard })
     }
 
@@ -245,14 +248,18 @@ impl Session {
         Ok(())
     }
 
-    fn drain(&mut self) {
+    /// Throws filled buffers away; says how many.
+    fn drain(&mut self) -> u32 {
+        let mut drained = 0;
         while let Some(buffer) = self.stream.try_pop_buffer() {
             if buffer.frame_id() != 0 {
                 self.counter.count(buffer.frame_id());
                 tick(&self.outlet.counters.drained);
+                drained += 1;
             }
             self.stream.push_buffer(buffer);
         }
+        drained
     }
 
     /// Moves filled buffers into the pool and on. True where frames wait because the pool is empty.
