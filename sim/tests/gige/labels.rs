@@ -29,8 +29,8 @@ async fn expose(
     guard: &mut Guard,
     exposure_us: u64,
     judged: &mut Vec<(u64, bool)>,
-) -> Frame {
-    let applied = camera.apply(settings(exposure_us)).await.unwrap();
+) -> Result<Frame> {
+    let applied = camera.apply(settings(exposure_us)).await?;
     assert_eq!(applied, settings(exposure_us));
     let mut armed: Armed = camera.arm().await?;
     guard.armed();
