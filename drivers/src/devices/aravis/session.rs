@@ -299,7 +299,7 @@ impl Session {
     }
 
     fn fits(&self, buffer: &Buffer) -> bool {
-        buffer.image_pixel_format().raw() as u32 == self.options.format.code()
+        buffer.image_pixel_format().raw() == self.options.format.code()
             && buffer.image_width() == self.options.width as i32
             && buffer.image_height() == self.options.height as i32
     }
