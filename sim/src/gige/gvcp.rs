@@ -73,12 +73,12 @@ pub fn parse(datagram: &[u8]) -> Result<Envelope, Option<(u16, u16, u16)>> {
     let request = match command {
         0x0002 => Request::Discovery,
         0x0080 if !numbers.is_empty() => Request::ReadRegisters(numbers),
-        0x0082 if numbers.len() >= 2 && numbers.len() % 2 == 0 => {
+        0x0082 if numbers.len() >= 2 && numbers.len().is_multiple_of(2) => {
             Request::WriteRegisters(numbers.chunks_exact(2).map(|p| (p[0], p[1])).collect())
         }
         0x0084 if numbers.len() == 2 => {
             let count = (numbers[1] & 0xffff) as usize;
-            if count == 0 || count % 4 != 0 || count > MOST {
+            if count == 0 || !count.is_multiple_of(4) || count > MOST {
                 return Err(bad(status::INVALID_PARAMETER));
             }
             Request::ReadMemory { address: numbers[0], count }

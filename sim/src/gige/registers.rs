@@ -198,7 +198,7 @@ impl Registers {
     /// # Errors
     /// A GVCP status: [`status::BAD_ALIGNMENT`] or [`status::INVALID_ADDRESS`].
     pub fn read(&self, address: u32, count: usize) -> Result<Vec<u8>, u16> {
-        if address % 4 != 0 {
+        if !address.is_multiple_of(4) {
             return Err(status::BAD_ALIGNMENT);
         }
         let (store, start) = match address.checked_sub(a::XML) {
@@ -219,7 +219,7 @@ impl Registers {
     /// # Errors
     /// A GVCP status: read-only, locked while acquiring, out of range, no such register.
     pub fn write(&mut self, address: u32, bytes: &[u8]) -> Result<Effect, u16> {
-        if address % 4 != 0 || bytes.len() % 4 != 0 {
+        if !address.is_multiple_of(4) || !bytes.len().is_multiple_of(4) {
             return Err(status::BAD_ALIGNMENT);
         }
         if READ_ONLY.iter().any(|(first, end)| (*first..*end).contains(&address)) {
@@ -249,8 +249,8 @@ impl Registers {
             a::EXPOSURE => within(self.get_f64(address), self.sensor.shortest_us, self.sensor.longest_us),
             a::FRAME_RATE => within(self.get_f64(address), 0.01, self.sensor.max_fps),
             a::GAIN => within(self.get_f64(address), 0.0, 24.0),
-            a::WIDTH => (32..=self.sensor.width).contains(&self.get(address)) && self.get(address) % 4 == 0,
-            a::HEIGHT => (4..=self.sensor.height).contains(&self.get(address)) && self.get(address) % 4 == 0,
+            a::WIDTH => (32..=self.sensor.width).contains(&self.get(address)) && self.get(address).is_multiple_of(4),
+            a::HEIGHT => (4..=self.sensor.height).contains(&self.get(address)) && self.get(address).is_multiple_of(4),
             a::PIXEL_FORMAT => PixelCode::from_code(self.get(address)).is_some(),
             a::CHUNK_SELECTOR => self.get(address) < 3,
             _ => true,

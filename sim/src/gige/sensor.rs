@@ -301,15 +301,15 @@ impl SensorThread {
                 let _ = self.socket.send_to(&self.packet, to);
             }
             owed += delay;
-            match self.shared.config.pace {
-                _ if delay > Duration::ZERO => {
-                    if owed >= Duration::from_micros(100) {
-                        pause(owed);
-                        owed = Duration::ZERO;
-                    }
-                }
-                Some((every, rest)) if n % every.max(1) == every.max(1) - 1 => pause(rest),
-                _ => {}
+            if owed >= Duration::from_micros(100) {
+                pause(owed);
+                owed = Duration::ZERO;
+            }
+            if let Some((every, rest)) = self.shared.config.pace
+                && delay.is_zero()
+                && (n + 1).is_multiple_of(every.max(1))
+            {
+                pause(rest);
             }
         }
         let mut traffic = self.shared.traffic();
