@@ -3,11 +3,12 @@
 use crate::bench::{alone, open, options, read, sensor, settings, snap, twin};
 use goniod_drivers::clock::Clock;
 use goniod_drivers::contract::{Camera, Device};
-use goniod_drivers::devices::aravis::{AravisCamera, Cooler, WireFormat};
+use goniod_drivers::devices::aravis::{AravisCamera, Cooler, Trigger, WireFormat};
 use goniod_drivers::error::ErrorKind;
 use goniod_drivers::units::ExposureTime;
 use goniod_sim::gige::{PixelCode, Reading, address};
 use std::process::Command;
+use std::time::Duration;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn it_knows_the_camera_and_refuses_another_one() {
@@ -97,6 +98,47 @@ async fn short_frames_are_counted_and_their_pixels_never_seen() {
     twin.faults(|f| f.short_per_1000 = 0);
     let frame = camera.next_frame().await.unwrap();
     assert!(matches!(read(&frame, WireFormat::Mono12), Reading::Whole(_)));
+}
+
+/// An exposure under way when settings change must not come out as one of the new ones.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn arming_anew_in_mid_exposure_gives_the_new_exposure_only() {
+    let _alone = alone().await;
+    for trigger in [Trigger::Software, Trigger::FreeRun { frame_rate_hz: 20.0 }] {
+        let twin = twin(|c| c.real_exposure = true);
+        let mut camera = open(options(&twin, |o| o.trigger = trigger)).await;
+        camera.apply(settings(150_000)).await.unwrap();
+        camera.arm().await.unwrap();
+        Clock::system().sleep(Duration::from_millis(40)).await;
+        camera.apply(settings(20_000)).await.unwrap();
+        let armed = camera.arm().await.unwrap();
+        let frame = loop {
+            let frame = camera.next_frame().await.unwrap();
+            if frame.info.exposure_start >= armed.not_before {
+                break frame;
+            }
+            assert!(trigger != Trigger::Software, "with a trigger nothing old may come");
+        };
+        assert!(matches!(read(&frame, WireFormat::Mono12), Reading::Whole(tag) if tag.exposure_us == 20_000));
+        camera.stop().await.unwrap();
+        let frame = snap(&mut camera, 30_000).await.unwrap();
+        assert!(matches!(read(&frame, WireFormat::Mono12), Reading::Whole(_)), "it streams again after a stop");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn giving_up_waiting_loses_no_frame_and_triggers_no_second_one() {
+    let _alone = alone().await;
+    let twin = twin(|c| c.real_exposure = true);
+    let mut camera = open(options(&twin, |_| {})).await;
+    let first = snap(&mut camera, 150_000).await.unwrap();
+    let clock = Clock::system();
+    assert!(clock.timeout(Duration::from_millis(30), camera.next_frame()).await.is_err(), "still exposing");
+    let second = camera.next_frame().await.unwrap();
+    assert_eq!(second.info.device_frame_id, first.info.device_frame_id + 1);
+    assert_eq!(twin.traffic().blocks, 2);
+    let gap = second.info.exposure_start - first.info.exposure_start;
+    assert!(gap >= Duration::from_millis(150), "exposures follow one another on the host's clock: {gap:?}");
 }
 
 /// The library's own command line tool sees a camera like any other.

@@ -8,7 +8,6 @@ use crate::clock::Clock;
 use crate::contract::{CameraInfo, CameraSettings, Health};
 use crate::error::{DeviceError, ErrorKind, Result};
 use crate::frame::FramePool;
-use aravis::prelude::*;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -186,25 +185,18 @@ impl Owner {
                 tick(&self.outlet.counters.opened);
                 let Owner { options, outlet, inbox, wake, lost, abandoned, .. } = self;
                 let mut session = Session::new(session, options, outlet);
-                listen(&session, wake, lost);
+                // These run on threads of the library: they only post.
+                let filled = move || drop(wake.try_send(Message::Filled));
+                let signals = session.connect(filled, move || {
+                    lost.send_replace(true);
+                });
                 if opened.send(Ok(session.info().clone())).is_ok() {
                     serve(&mut session, &inbox, &abandoned);
                 }
-                session.stream().set_emit_signals(false);
+                session.close(signals);
             }
         }
     }
-}
-
-/// Turns the library's signals into messages. Their closures run on threads of the library: they only post.
-fn listen(session: &Session, wake: SyncSender<Message>, lost: watch::Sender<bool>) {
-    session.stream().connect_new_buffer(move |_| {
-        let _ = wake.try_send(Message::Filled);
-    });
-    session.stream().set_emit_signals(true);
-    session.features().device().connect_control_lost(move |_| {
-        lost.send_replace(true);
-    });
 }
 
 fn serve(session: &mut Session, inbox: &Receiver<Message>, abandoned: &AtomicBool) {

@@ -11,17 +11,23 @@ use crate::contract::{CameraInfo, CameraSettings, Health};
 use crate::error::{ErrorKind, Result};
 use crate::frame::{Frame, FrameInfo, FramePool, Pixels};
 use crate::units::ExposureTime;
-use aravis::glib::object::Cast;
+use aravis::glib::SignalHandlerId;
+use aravis::glib::object::{Cast, ObjectExt};
 use aravis::prelude::*;
 use aravis::{Buffer, BufferStatus, Camera, ChunkParser, GvDevice, GvStream, Stream};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::time::Duration;
 use tokio::sync::OwnedSemaphorePermit;
 use tokio::sync::mpsc::Sender;
 use tokio::time::Instant;
 
 /// Control channel privilege (GigE Vision bootstrap register).
 const PRIVILEGE: u64 = 0x0a00;
+
+/// How often and how long an emission under way is waited for at closing.
+const EMISSION_TRIES: u32 = 2_000;
+const EMISSION_PAUSE: Duration = Duration::from_millis(1);
 
 /// A frame with the number of the `arm` it belongs to.
 pub struct Delivered {
@@ -52,6 +58,14 @@ pub struct Outlet {
     pub counters: Arc<Counters>,
     /// Wall time of frames.
     pub clock: Clock,
+}
+
+/// Signals connected, and how often the objects were held before.
+pub struct Signals {
+    new_buffer: SignalHandlerId,
+    control_lost: SignalHandlerId,
+    stream_holds: u32,
+    device_holds: u32,
 }
 
 /// One open camera.
@@ -118,16 +132,6 @@ impl Session {
     /// What the camera is.
     pub fn info(&self) -> &CameraInfo {
         &self.info
-    }
-
-    /// The stream, for its signals.
-    pub fn stream(&self) -> &Stream {
-        &self.stream
-    }
-
-    /// The features, for the device's signals.
-    pub fn features(&self) -> &Features {
-        &self.features
     }
 
     /// Writes settings and reads them back.
@@ -329,6 +333,36 @@ impl Session {
             format: self.info.format,
             damaged,
         }
+    }
+
+    /// Closes the camera, so that no thread of the library lets go of an object last.
+    ///
+    /// A signal in emission holds its object. Were that the last hold, the object would be torn down by its own heartbeat
+    /// or receive thread, which then waits for itself: the library ends the whole process. So the signals are disconnected
+    /// and an emission under way is waited for; one that never ends leaves the objects alive for good.
+    pub fn close(self, signals: Signals) {
+        self.stream.set_emit_signals(false);
+        self.stream.disconnect(signals.new_buffer);
+        self.features.device().disconnect(signals.control_lost);
+        for _ in 0..EMISSION_TRIES {
+            let emitting = self.stream.ref_count() > signals.stream_holds
+                || self.features.device().ref_count() > signals.device_holds;
+            if !emitting {
+                return;
+            }
+            std::thread::park_timeout(EMISSION_PAUSE);
+        }
+        tracing::warn!(camera = %self.options.label(), "a signal of the camera library never ended; its objects stay");
+        std::mem::forget(self);
+    }
+
+    /// Connects the library's signals: `filled` and `lost` are called on threads of the library.
+    pub fn connect(&self, filled: impl Fn() + Send + 'static, lost: impl Fn() + Send + 'static) -> Signals {
+        let (stream_holds, device_holds) = (self.stream.ref_count(), self.features.device().ref_count());
+        let new_buffer = self.stream.connect_new_buffer(move |_| filled());
+        self.stream.set_emit_signals(true);
+        let control_lost = self.features.device().connect_control_lost(move |_| lost());
+        Signals { new_buffer, control_lost, stream_holds, device_holds }
     }
 
     /// Temperature, cooler, link.
