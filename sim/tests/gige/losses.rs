@@ -143,6 +143,21 @@ async fn a_mute_camera_times_out_with_the_likely_cause() {
     until_measuring(&mut camera, Instant::now()).await;
 }
 
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_deaf_camera_fails_the_command_and_is_taken_up_again() {
+    let _alone = alone().await;
+    let (twin, mut camera) = measuring().await;
+    twin.faults(|f| f.deaf = true);
+    let since = Instant::now();
+    let error = camera.apply(settings(1_000)).await.unwrap_err();
+    assert_eq!(error.kind, ErrorKind::Timeout, "{error}");
+    assert!(since.elapsed() < Duration::from_millis(3_500), "{:?}", since.elapsed());
+    assert_eq!(camera.arm().await.unwrap_err().kind, ErrorKind::Lost, "the old handle is void");
+    twin.faults(|f| f.deaf = false);
+    let back = until_measuring(&mut camera, Instant::now()).await;
+    assert!(back <= Duration::from_secs(10), "{back:?}");
+}
+
 /// A call that the library does not come back from is left to itself; the next opening works beside it.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_stuck_call_is_abandoned_and_replaced() {
