@@ -65,10 +65,16 @@ pub fn settings(exposure_us: u64) -> CameraSettings {
     CameraSettings { exposure: ExposureTime(exposure_us), gain: 0.0 }
 }
 
-/// Applies, arms and takes one frame.
+/// Applies, arms and takes one frame; an incomplete one, which a busy machine can cause, is retaken.
 pub async fn snap(camera: &mut AravisCamera, exposure_us: u64) -> goniod_drivers::error::Result<Frame> {
     camera.apply(settings(exposure_us)).await?;
     camera.arm().await?;
+    for _ in 0..4 {
+        let frame = camera.next_frame().await?;
+        if !frame.info.damaged {
+            return Ok(frame);
+        }
+    }
     camera.next_frame().await
 }
 

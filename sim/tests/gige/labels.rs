@@ -7,6 +7,7 @@ use goniod_drivers::error::Result;
 use goniod_drivers::frame::Frame;
 use goniod_sim::gige::{FrameFault, GigeTwin, Reading, Truth};
 use std::collections::HashMap;
+use std::time::Duration;
 
 /// What became of the frames of many brackets.
 #[derive(Debug, Default)]
@@ -21,6 +22,8 @@ struct Tally {
     old_exposures: u64,
 }
 
+/// Frames cut short on purpose hold up those behind them this long.
+const RETENTION: Duration = Duration::from_millis(150);
 /// Frames that may be refused in a row before the test gives up.
 const PATIENCE: u32 = 60;
 
@@ -121,6 +124,7 @@ async fn no_label_is_wrong_with_a_software_trigger() {
     let format = WireFormat::Mono12p;
     let mut camera = open(options(&twin, |o| {
         (o.discard_frames, o.format, o.packet_socket) = (6, format, false);
+        o.frame_retention = RETENTION;
     }))
     .await;
     lies(&twin);
@@ -140,6 +144,7 @@ async fn no_label_is_wrong_in_free_run_without_chunks() {
     let mut camera = open(options(&twin, |o| {
         o.trigger = Trigger::FreeRun { frame_rate_hz: 200.0 };
         (o.discard_frames, o.format, o.chunks) = (6, format, false);
+        o.frame_retention = RETENTION;
     }))
     .await;
     lies(&twin);

@@ -92,11 +92,13 @@ async fn short_frames_are_counted_and_their_pixels_never_seen() {
     let twin = twin(|_| {});
     let mut camera = open(options(&twin, |_| {})).await;
     twin.faults(|f| f.short_per_1000 = 1000);
-    let frame = snap(&mut camera, 5_000).await.unwrap();
+    camera.apply(settings(5_000)).await.unwrap();
+    camera.arm().await.unwrap();
+    let frame = camera.next_frame().await.unwrap();
     assert!(frame.info.damaged && frame.pixels.is_empty());
     assert_eq!(camera.counts().incomplete, 1);
     twin.faults(|f| f.short_per_1000 = 0);
-    let frame = camera.next_frame().await.unwrap();
+    let frame = snap(&mut camera, 5_000).await.unwrap();
     assert!(matches!(read(&frame, WireFormat::Mono12), Reading::Whole(_)));
 }
 
@@ -131,7 +133,9 @@ async fn giving_up_waiting_loses_no_frame_and_triggers_no_second_one() {
     let _alone = alone().await;
     let twin = twin(|c| c.real_exposure = true);
     let mut camera = open(options(&twin, |_| {})).await;
-    let first = snap(&mut camera, 150_000).await.unwrap();
+    camera.apply(settings(150_000)).await.unwrap();
+    camera.arm().await.unwrap();
+    let first = camera.next_frame().await.unwrap();
     let clock = Clock::system();
     assert!(clock.timeout(Duration::from_millis(30), camera.next_frame()).await.is_err(), "still exposing");
     let second = camera.next_frame().await.unwrap();

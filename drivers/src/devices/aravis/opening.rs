@@ -231,7 +231,7 @@ fn make_stream(camera: &Camera, features: &Features, options: &AravisOptions) ->
         gv.set_packet_request_ratio(1.0);
         // A camera remembers few frames: what was lost must be asked for again soon.
         gv.set_packet_timeout(5_000);
-        gv.set_frame_retention(250_000);
+        gv.set_frame_retention(options.frame_retention.as_micros() as u32);
     }
     for _ in 0..options.buffers.max(2) {
         stream.push_buffer(Buffer::new_allocate(payload as usize));

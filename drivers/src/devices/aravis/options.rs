@@ -59,6 +59,8 @@ pub struct AravisOptions {
     pub socket_buffer_bytes: i32,
     /// False: never use a packet socket, even where the process may (needs CAP_NET_RAW).
     pub packet_socket: bool,
+    /// How long an incomplete frame is waited for before it is given up; later frames wait behind it.
+    pub frame_retention: Duration,
     /// Buffers the camera library fills.
     pub buffers: usize,
     /// Frames that may live at once on our side.
@@ -91,6 +93,7 @@ impl AravisOptions {
             heartbeat: Duration::from_secs(3),
             socket_buffer_bytes: 4 << 20,
             packet_socket: true,
+            frame_retention: Duration::from_millis(500),
             buffers: 16,
             frames_in_flight: 16,
             chunks: true,
