@@ -164,3 +164,28 @@ async fn arv_tool_reads_and_writes_the_twin() {
     let features = tool(&["features"]);
     assert!(features.contains("TriggerSoftware") && features.contains("DeviceTemperature"), "{features}");
 }
+
+/// A GenICam client that shares no code with the library sees the same camera. It is one of the third-party readers of
+/// `.venv` (package viva-genicam); without it the test says so.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_client_of_another_house_drives_the_twin() {
+    let _alone = alone().await;
+    let program = concat!(env!("CARGO_MANIFEST_DIR"), "/../.venv/bin/viva-camctl");
+    if !std::path::Path::new(program).exists() {
+        println!("SKIPPED: no viva-camctl in .venv");
+        return;
+    }
+    let twin = twin(|_| {});
+    let tool = |arguments: &[&str]| {
+        let (command, rest) = arguments.split_first().unwrap();
+        let output = Command::new(program).args([command, "--ip", &twin.address()]).args(rest).output().unwrap();
+        (output.status.success(), String::from_utf8_lossy(&output.stdout).into_owned())
+    };
+    assert!(tool(&["set", "--name", "ExposureTime", "--value", "12345"]).0);
+    assert_eq!(twin.exposure_us(), 12_345.0);
+    assert!(!tool(&["set", "--name", "ExposureTime", "--value", "1e12"]).0, "the XML tells it the range");
+    let (_, serial) = tool(&["get", "--name", "DeviceSerialNumber"]);
+    assert!(serial.contains("SU320-0042"), "{serial}");
+    assert!(tool(&["bench", "--iface", "127.0.0.1", "--duration-s", "1"]).0);
+    assert!(twin.traffic().blocks >= 10, "it streamed: {:?}", twin.traffic());
+}
