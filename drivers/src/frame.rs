@@ -13,12 +13,14 @@ pub enum PixelFormat {
     BayerRggb8,
     /// One value a pixel, 8 bit.
     Mono8,
-    /// One value a pixel, 12 bit in little-endian 16-bit words.
-    Mono12,
-    /// One value a pixel, 16-bit little-endian words.
-    Mono16,
     /// One value a pixel, 10 bit in little-endian 16-bit words.
     Mono10,
+    /// One value a pixel, 12 bit in little-endian 16-bit words.
+    Mono12,
+    /// One value a pixel, 14 bit in little-endian 16-bit words.
+    Mono14,
+    /// One value a pixel, 16-bit little-endian words.
+    Mono16,
     /// Green-red / blue-green mosaic, 8 bit a pixel.
     BayerGrbg8,
     /// Green-blue / red-green mosaic, 8 bit a pixel.
@@ -146,6 +148,7 @@ impl PixelFormat {
             BayerRggb8 | BayerGrbg8 | BayerGbrg8 | BayerBggr8 | Mono8 | Rgb8 | Yuyv8 => 8,
             BayerRggb10 | BayerGrbg10 | BayerGbrg10 | BayerBggr10 | Mono10 => 10,
             BayerRggb12 | BayerGrbg12 | BayerGbrg12 | BayerBggr12 | Mono12 => 12,
+            Mono14 => 14,
             BayerRggb16 | BayerGrbg16 | BayerGbrg16 | BayerBggr16 | Mono16 => 16,
             Summed { bits, .. } => bits,
         }

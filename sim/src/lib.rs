@@ -3,6 +3,7 @@
 //!
 //! - [`bench`]: a whole bench from its files; [`truth`]: its optics, samples and the true answers
 //! - [`firmware`]: devices as state machines; [`front`]: how they reach a link; [`twins`]: all of them together
+//! - [`gige`]: a GigE Vision camera on loopback, for the real driver
 //! - [`camera`], [`stream`]: cameras with their latency and queues
 //! - [`paint`], [`oracle`]: the true state in the pixels, written and read; [`pose`]: what it consists of
 
@@ -10,6 +11,7 @@ pub mod bench;
 pub mod camera;
 pub mod firmware;
 pub mod front;
+pub mod gige;
 pub mod oracle;
 pub mod paint;
 pub mod pose;

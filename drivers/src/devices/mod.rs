@@ -1,5 +1,7 @@
 //! The drivers, one device a file (the Zaber one with its codec, warnings and chain beside it).
 
+#[cfg(feature = "aravis")]
+pub mod aravis;
 mod prompt;
 pub mod thorlabs_fw212c;
 pub mod thorlabs_sc10;
