@@ -7,7 +7,6 @@ use crate::config::error::{Issue, Severity};
 use crate::config::instrument::{Camera, Instrument};
 use crate::config::load::{Loaded, parse};
 use crate::config::source::Source;
-use goniod_drivers::frame::PixelFormat;
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -192,7 +191,7 @@ fn responsivity(
     let path = folder(&loaded.source.path).join(&r.file);
     let role = format!("responsivity.{name}");
     let Some(curves) = inputs.curves(&mut report, key, &role, &path) else { return };
-    let wanted: &[&str] = if camera.format == PixelFormat::BayerRggb8 { &["r", "g", "b"] } else { &["value"] };
+    let wanted: &[&str] = if camera.format.mosaic().is_some() { &["r", "g", "b"] } else { &["value"] };
     let lacking: Vec<&&str> = wanted.iter().filter(|w| curves.column(w).is_none()).collect();
     if !lacking.is_empty() || curves.names.len() != wanted.len() {
         report.error(

@@ -11,7 +11,7 @@ use crate::engine::optics::pixel_map::{Mosaic, PixelMap, PixelMapSpec};
 use crate::engine::radiometry::levels::{LevelTable, Noise, Radiometer};
 use crate::engine::radiometry::response::{LevelConvention, Response};
 use crate::products::error::{ProductError, Result, engine};
-use goniod_drivers::frame::PixelFormat;
+use goniod_drivers::frame::{BayerOrder, PixelFormat};
 use std::collections::BTreeMap;
 
 /// One camera ready to read brackets.
@@ -56,10 +56,7 @@ fn camera_optics(run: &Run, name: &str, camera: &Camera, calibration: &CameraCal
             width: camera.width_px,
             height: camera.height_px,
             reserved_rows: geometry.reserved_rows,
-            mosaic: match camera.format {
-                PixelFormat::BayerRggb8 => Mosaic::BayerRggb,
-                _ => Mosaic::Mono,
-            },
+            mosaic: mosaic(name, camera.format)?,
             fisheye: Fisheye {
                 centre_x_px: geometry.centre_x_px,
                 centre_y_px: geometry.centre_y_px,
@@ -76,6 +73,18 @@ fn camera_optics(run: &Run, name: &str, camera: &Camera, calibration: &CameraCal
     };
     let map = |flipped| PixelMap::build(&spec(flipped)?).map_err(engine(what()));
     Ok(CameraOptics { table, straight: map(false)?, flipped: map(true)? })
+}
+
+/// The mosaic of a format, as far as the engine knows it.
+fn mosaic(name: &str, format: PixelFormat) -> Result<Mosaic> {
+    match (format.mosaic(), format.values_per_pixel()) {
+        (Some(BayerOrder::Rggb), 1) => Ok(Mosaic::BayerRggb),
+        (None, 1) => Ok(Mosaic::Mono),
+        _ => Err(ProductError::Nothing(format!(
+            "camera `{name}`: frames of format {format:?} cannot be reduced yet; the engine reads one value a pixel, \
+             mono or with the mosaic red-green / green-blue"
+        ))),
+    }
 }
 
 /// The calibration file's radiometry in the engine's words.
