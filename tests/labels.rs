@@ -268,25 +268,26 @@ fn the_oracle_finds_every_kind_of_wrong_label() {
 fn mean_levels_rise_with_exposure() {
     let lab = Lab::small();
     let files = rehearsed(&lab);
-    let mut brackets: BTreeMap<u32, Vec<(ExposureTime, f64)>> = BTreeMap::new();
+    let mut brackets: BTreeMap<(u32, String), Vec<(ExposureTime, f64)>> = BTreeMap::new();
     for (step, view) in files.steps().filter(|(_, v)| v.subject != Subject::Dark) {
         let mean = files.mean_level(step, view).unwrap();
-        brackets.entry(view.id).or_default().push((step.exposure, mean));
+        brackets.entry((view.id, view.camera.clone())).or_default().push((step.exposure, mean));
     }
     let (mut pairs, mut lit) = (0, 0);
-    for (view, mut frames) in brackets {
+    for ((view, camera), mut frames) in brackets {
         frames.sort_by_key(|(t, _)| *t);
         for pair in frames.windows(2) {
             let [(_, short), (_, long)] = pair else { unreachable!("windows of two") };
             assert!(long >= short, "view {view}: {frames:?}");
             pairs += 1;
-            if *short > 1.0 {
+            let levels = files.document.instrument.camera[&camera].format.levels();
+            if (0.004..0.1).contains(&(short / f64::from(levels))) {
                 assert!(*long > 1.3 * short, "view {view}: {frames:?}");
                 lit += 1;
             }
         }
     }
-    assert!(pairs > 100 && lit > 50, "{pairs} pairs, {lit} of them lit");
+    assert!(pairs > 100 && lit > 20, "{pairs} pairs, {lit} of them lit");
 }
 
 /// Every kind of camera fault, again and again through the night, on the first, the middle and the last frame of
@@ -331,8 +332,8 @@ async fn lying_cameras_leave_no_wrong_label() {
     );
 }
 
-/// A sensor that integrates another time than its registers say, on each place of the lit brackets of one scan. Darks
-/// and frames without light look the same at every exposure, so they are left alone.
+/// A sensor that still integrates the time of another exposure of the ladder, on each place of the lit brackets of one
+/// scan. Darks and frames without light look the same at every exposure, so they are left alone.
 #[tokio::test(start_paused = true)]
 async fn a_sensor_with_another_exposure_than_it_says_leaves_no_wrong_label() {
     let scan = r#"
@@ -353,7 +354,7 @@ longest_s = 2.0
 [dark]
 frames = 1
 "#;
-    for wrong in [ExposureTime(125_000), ExposureTime(500_000), ExposureTime(8_000_000)] {
+    for wrong in [ExposureTime(125_000), ExposureTime(500_000), ExposureTime(2_000_000)] {
         for first in 3..7 {
             let lab = Lab::small();
             let (run, rejected) = night_with(&lab, scan, |faults| {
@@ -368,7 +369,8 @@ frames = 1
             let verdict = files.judge();
             nothing_wrong(&verdict);
             assert_eq!(verdict.missing, 0, "each was taken again: {:?}", files.rejections());
-            assert!(rejected >= 3, "{rejected} rejected: {:?}", files.rejections());
+            // At most two of the four faults meet the exposure that they pretend.
+            assert!(rejected >= 2, "{rejected} rejected: {:?}", files.rejections());
             assert!(verify(&run).unwrap().whole());
         }
     }

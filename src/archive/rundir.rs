@@ -145,7 +145,11 @@ impl RunDir {
         let stored = self.store.put_frame(camera, array_index, exposure_index, pixels)?;
         let event = event(&stored);
         let row = FrameRow { digest: stored.digest, bytes: stored.bytes, ..row };
-        self.with(|journal| journal.frame_stored(&row, &event))?;
+        if let Err(e) = self.with(|journal| journal.frame_stored(&row, &event)) {
+            // A frame that no row speaks of is none. Where it cannot be removed, `verify` tells it as left over.
+            let _ = fs::remove_file(self.store.chunk_path(camera, array_index, exposure_index));
+            return Err(e);
+        }
         Ok(row)
     }
 

@@ -149,7 +149,17 @@ fn check_step(
     let frame = match (&step.state, frame) {
         (StepState::Stored, Some(frame)) => frame,
         (StepState::Stored, None) | (_, Some(_)) => return report.findings.push(Finding::RowsDisagree(at.number)),
-        (_, None) => return,
+        (StepState::Planned, None) => {
+            // Written when the run was cut short, before its row was: the step stays to be done and writes it anew.
+            let path = run.frames().chunk_path(&at.camera, at.array_index, at.exposure_index);
+            if path.exists() {
+                let name = path.strip_prefix(run.path()).unwrap_or(&path).to_string_lossy().into_owned();
+                report.leftovers.push(name);
+                known.insert(path);
+            }
+            return;
+        }
+        (StepState::Missing(_), None) => return,
     };
     let path = run.frames().chunk_path(&at.camera, at.array_index, at.exposure_index);
     match fs::read(&path) {
@@ -316,9 +326,13 @@ mod tests {
         let run = RunDir::create(runs.path(), &new).unwrap();
         run.store(("ccd", 0, 0), &Pixels::U8(vec![9; 16]), row(0), |_| event(0)).unwrap();
         let path = run.path().to_path_buf();
+        // Killed between a frame and its row.
+        run.frames().put_frame("ccd", 0, 1, &Pixels::U8(vec![7; 16])).unwrap();
         drop(run);
         let report = verify(&path).unwrap();
         assert!(report.sound() && !report.sealed && !report.whole(), "{report:?}");
+        assert_eq!(report.leftovers, ["frames.zarr/ccd/c.0.1.0.0"]);
+        fs::remove_file(path.join("frames.zarr/ccd/c.0.1.0.0")).unwrap();
         let run = RunDir::resume(&path).unwrap();
         assert_eq!(run.with(|j| j.next_seq()).unwrap(), 1);
         run.with(|j| j.step_missing(1, "x", &event(1))).unwrap();

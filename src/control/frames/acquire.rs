@@ -82,10 +82,8 @@ pub async fn acquire(
         let black_before = attempt > 1 && last == Rejection::BlackUnconfirmed;
         match attempt_once(camera, history, request, clock, black_before, rejected).await? {
             Ok((frame, picture)) => {
-                let exposure = frame.info.settings.exposure;
-                history.keep(exposure, &picture);
                 if request.dark {
-                    history.keep_dark(exposure, &picture);
+                    history.keep_dark(frame.info.settings.exposure, &picture);
                 }
                 return Ok(Acquired { frame, picture, attempts: attempt });
             }
@@ -114,7 +112,8 @@ async fn attempt_once(
     let armed = limited(clock, COMMAND_LIMIT, name, camera.arm()).await?;
     let armed_at = clock.now();
     let limit = applied.exposure.duration() + armed.due_within + FRAME_MARGIN;
-    let (frame, previous_id) = match take(camera, history, (&armed, armed_at), (clock, limit, name), rejected).await? {
+    let stream = (&armed, armed_at, request.skip_rows);
+    let (frame, previous_id) = match take(camera, history, stream, (clock, limit, name), rejected).await? {
         Ok(taken) => taken,
         Err(reason) => return Ok(Err(reason)),
     };
@@ -131,7 +130,7 @@ async fn attempt_once(
         bracket: request.bracket,
     };
     let verdict = guard::judge(&frame.info, &frame.pixels, history, &expected);
-    history.saw(frame.info.device_frame_id);
+    remember(history, &frame, request.skip_rows);
     Ok(verdict.map(|picture| (frame, picture)))
 }
 
@@ -139,7 +138,7 @@ async fn attempt_once(
 async fn take(
     camera: &mut dyn Camera,
     history: &mut StreamHistory,
-    (armed, armed_at): (&Armed, Instant),
+    (armed, armed_at, skip_rows): (&Armed, Instant, usize),
     (clock, limit, name): (Clock, Duration, &str),
     rejected: &mut Vec<Rejection>,
 ) -> Result<Result<(Frame, Option<u64>), Rejection>, DeviceError> {
@@ -162,8 +161,16 @@ async fn take(
         } else {
             return Ok(Ok((frame, previous_id)));
         }
-        history.saw(id);
+        remember(history, &frame, skip_rows);
         previous_id = Some(id);
+    }
+}
+
+/// Takes note of a frame that has arrived, good or not: none may come again under a later number.
+fn remember(history: &mut StreamHistory, frame: &Frame, skip_rows: usize) {
+    history.saw(frame.info.device_frame_id);
+    if let Some(picture) = Picture::of(&frame.info, &frame.pixels, skip_rows) {
+        history.keep(frame.info.settings.exposure, &picture);
     }
 }
 

@@ -102,7 +102,7 @@ pub enum Rejection {
 #[derive(Debug, Default)]
 pub struct StreamHistory {
     last_id: Option<u64>,
-    /// Fingerprints and exposures of accepted frames.
+    /// Fingerprints and exposures of the frames that arrived last.
     recent: VecDeque<(u64, ExposureTime)>,
     darks: BTreeMap<ExposureTime, DarkSeen>,
 }
@@ -154,7 +154,7 @@ impl StreamHistory {
         self.last_id
     }
 
-    /// Takes note of an accepted frame.
+    /// Takes note of the picture of a frame that arrived, good or not.
     pub fn keep(&mut self, exposure: ExposureTime, picture: &Picture) {
         if self.recent.len() == RECENT {
             self.recent.pop_front();
