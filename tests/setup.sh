@@ -5,7 +5,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-packages=(build-essential pkg-config libhdf5-dev libclang-dev linux-libc-dev python3 python3-venv)
+packages=(build-essential pkg-config libhdf5-dev python3 python3-venv)
 
 as_root() { if [ "$(id -u)" = 0 ]; then "$@"; else sudo "$@"; fi; }
 
