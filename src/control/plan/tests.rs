@@ -180,9 +180,9 @@ proptest! {
         (s.dark.every_directions, s.reference.every_directions, s.dark.frames) = rhythm;
         let plan = plan(&s);
         let counts = taken(&plan);
-        prop_assert_eq!(counts.len(), angles.len() * sides.len() * bands.len() * 5);
+        prop_assert_eq!(counts.len(), angles.len() * sides.len() * bands.len() * 4);
         prop_assert!(counts.values().all(|n| *n == 1));
-        prop_assert_eq!(plan.steps.len(), plan.views.len() * 5);
+        prop_assert_eq!(plan.steps.len(), plan.views.len() * 4);
         prop_assert!(plan.is_whole());
     }
 }
