@@ -298,7 +298,9 @@ impl FakeCamera {
             let pattern = 0.2 + (i % 97) as f64 / 60.0;
             let light = if world.open { pattern * (1.0 + world.tilt / 300.0) } else { 0.0 };
             let x = light * exposure.seconds() * 40.0;
-            let noise = f64::from((i as u32).wrapping_mul(2_654_435_761).wrapping_add(number * 7919) % 5) / 1000.0;
+            // Another pattern for every frame, or the guard would take two of them for one.
+            let mixed = (i as u32 ^ number.wrapping_mul(0x9E37_79B9)).wrapping_mul(2_654_435_761);
+            let noise = f64::from((mixed >> 16) % 5) / 1000.0;
             *level = ((0.441_58 * x.powf(0.407_17) - 0.132_54 + noise) * 256.0).clamp(0.0, 255.0) as u8;
         }
         Pixels::U8(levels)
