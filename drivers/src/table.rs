@@ -1,12 +1,13 @@
 //! The driver table: one line a driver of this crate. A new device is one file in [`devices`](crate::devices) and one line here.
 
 use crate::clock::Clock;
-use crate::contract::{FilterWheel, RotaryAxis, Shutter};
+use crate::contract::{FilterWheel, LightMonitor, Monochromator, RotaryAxis, Shutter, Spectrometer};
 use crate::devices::{
-    AxisConfig, Fw212c, Sc10, ShutterConfig, WheelConfig, ZaberChain, thorlabs_fw212c, thorlabs_sc10,
+    AxisConfig, Fw212c, LightMonitorConfig, MonochromatorConfig, Sc10, ShutterConfig, SpectrometerConfig, WheelConfig,
+    ZaberChain, thorlabs_fw212c, thorlabs_sc10,
 };
 use crate::error::{DeviceError, ErrorKind, Result};
-use crate::transport::Connector;
+use crate::transport::{Connector, UsbConnector};
 
 /// Makes all axes of a holder that share one link, in the order given.
 pub type MakeHolder = fn(Box<dyn Connector>, Vec<AxisConfig>, Clock) -> Vec<Box<dyn RotaryAxis>>;
@@ -14,6 +15,15 @@ pub type MakeHolder = fn(Box<dyn Connector>, Vec<AxisConfig>, Clock) -> Vec<Box<
 pub type MakeWheel = fn(Box<dyn Connector>, WheelConfig, Clock) -> Box<dyn FilterWheel>;
 /// Makes a shutter.
 pub type MakeShutter = fn(Box<dyn Connector>, ShutterConfig, Clock) -> Box<dyn Shutter>;
+
+/// Makes a monochromator.
+pub type MakeMonochromator = fn(Box<dyn Connector>, MonochromatorConfig, Clock) -> Box<dyn Monochromator>;
+/// Makes a light monitor on a serial line.
+pub type MakeLightMonitor = fn(Box<dyn Connector>, LightMonitorConfig, Clock) -> Box<dyn LightMonitor>;
+/// Makes a light monitor on USB.
+pub type MakeUsbLightMonitor = fn(Box<dyn UsbConnector>, LightMonitorConfig, Clock) -> Box<dyn LightMonitor>;
+/// Makes a spectrometer on USB.
+pub type MakeSpectrometer = fn(Box<dyn UsbConnector>, SpectrometerConfig, Clock) -> Box<dyn Spectrometer>;
 
 /// What a driver drives, and how it is made. Making sends nothing; `open` does.
 #[derive(Clone, Copy)]
@@ -24,6 +34,14 @@ pub enum Make {
     FilterWheel(MakeWheel),
     /// A shutter.
     Shutter(MakeShutter),
+    /// A monochromator.
+    Monochromator(MakeMonochromator),
+    /// A light monitor on a serial line.
+    LightMonitor(MakeLightMonitor),
+    /// A light monitor on USB.
+    UsbLightMonitor(MakeUsbLightMonitor),
+    /// A spectrometer on USB.
+    Spectrometer(MakeSpectrometer),
 }
 
 /// One driver.
@@ -33,7 +51,7 @@ pub struct Driver {
     pub name: &'static str,
     /// Devices it speaks to.
     pub devices: &'static str,
-    /// Baud rate of the serial line.
+    /// Baud rate of the serial line; 0 for a device on USB.
     pub baud: u32,
     /// Kind and constructor.
     pub make: Make,

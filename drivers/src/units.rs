@@ -19,6 +19,11 @@ pub struct DegreesPerSecond(pub f64);
 #[serde(transparent)]
 pub struct ExposureTime(pub u64);
 
+/// A wavelength in vacuum nanometres.
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Nanometres(pub f64);
+
 /// A place of a filter wheel, counted from 1 as the wheel's own housing does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
@@ -70,6 +75,14 @@ impl fmt::Display for ExposureTime {
             us if us < 1_000_000 => write!(f, "{} ms", us as f64 / 1e3),
             us => write!(f, "{} s", us as f64 / 1e6),
         }
+    }
+}
+
+// === impl Nanometres ===
+
+impl fmt::Display for Nanometres {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} nm", self.0)
     }
 }
 

@@ -17,7 +17,7 @@ pub use thorlabs_sc10::{Sc10, ShutterConfig};
 pub use zaber_ascii::ZaberAxis;
 pub use zaber_chain::ZaberChain;
 
-use crate::units::{Degrees, DegreesPerSecond};
+use crate::units::{Degrees, DegreesPerSecond, Nanometres};
 use std::time::Duration;
 
 /// One rotation axis as the instrument file says it. All angles are angles of the axis itself: the mechanical zero of
@@ -44,4 +44,43 @@ pub struct AxisConfig {
     pub tolerance: Degrees,
     /// Wait after the axis stands.
     pub settle: Duration,
+}
+
+/// What the instrument file says about a monochromator.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MonochromatorConfig {
+    /// Name in the instrument file.
+    pub name: String,
+    /// Serial number the device must report; empty where it is not checked.
+    pub serial: String,
+    /// Shortest wavelength that may be commanded.
+    pub min: Nanometres,
+    /// Longest wavelength that may be commanded.
+    pub max: Nanometres,
+    /// Largest accepted difference between commanded and read wavelength.
+    pub tolerance: Nanometres,
+    /// Wait after the grating stands.
+    pub settle: Duration,
+}
+
+/// What the instrument file says about a light monitor.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LightMonitorConfig {
+    /// Name in the instrument file.
+    pub name: String,
+    /// Serial number the device must report; empty where it has none to tell or it is not checked.
+    pub serial: String,
+    /// Wavelength of the responsivity correction.
+    pub wavelength: Nanometres,
+    /// Readings the device averages into one.
+    pub average: u32,
+}
+
+/// What the instrument file says about a spectrometer.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SpectrometerConfig {
+    /// Name in the instrument file.
+    pub name: String,
+    /// Serial number the device must report.
+    pub serial: String,
 }

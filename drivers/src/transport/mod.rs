@@ -4,10 +4,14 @@
 //! opens a serial line or a pipe to a firmware twin.
 
 mod link;
+#[cfg(feature = "serial")]
 mod serial;
+pub mod usb;
 
 pub use link::{Link, Stream};
+#[cfg(feature = "serial")]
 pub use serial::SerialConnector;
+pub use usb::UsbConnector;
 
 use crate::error::Result;
 use async_trait::async_trait;

@@ -1,5 +1,6 @@
 //! Fronts: what carries a twin's bytes to a driver.
 
 pub mod pipe;
+pub mod usb;
 
 pub use pipe::{PipeConnector, PipePort};

@@ -6,6 +6,10 @@
 //! - every call ends within a deadline of its own making (link time-out, distance / speed + margin, exposure + margin);
 //! - identity is proven before anything is trusted.
 
+mod light;
+
+pub use light::{LightMonitor, LightReading, Monochromator, Spectrometer, Spectrum};
+
 use crate::error::Result;
 use crate::frame::{Frame, PixelFormat};
 use crate::units::{Degrees, DegreesPerSecond, ExposureTime, Slot};
