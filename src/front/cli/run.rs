@@ -128,7 +128,7 @@ fn text(ran: &Ran, made: Option<&Made>) -> String {
     lines.extend(ran.message.clone());
     if let Some(made) = made {
         lines.push(String::new());
-        lines.extend(made.headline.iter().cloned());
+        lines.extend(made.headline.iter().chain(&made.not_made).cloned());
         lines.push(String::new());
         lines.push(format!("run directory  {}", ran.run.display()));
         lines.extend(made.files.iter().map(|f| format!("               {}", f.display())));

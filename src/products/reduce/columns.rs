@@ -15,7 +15,6 @@ use crate::engine::bsdf::set::{BsdfSet, Column, Quantity};
 use crate::engine::bsdf::totals::combine;
 use crate::engine::optics::direction::Direction;
 use crate::engine::optics::side::Side;
-use crate::engine::spectra::combine::Combiner;
 use crate::products::error::{ProductError, Result, engine};
 use rayon::prelude::*;
 
@@ -44,11 +43,12 @@ pub fn columns(run: &Run, readings: &Readings, views: &ReducedViews) -> Result<R
     let mut facts = maker.facts();
     let mut columns = Vec::new();
     let projected = basis(run).projected_solid_angles();
+    let quantities: Vec<Quantity> = readings.quantities.iter().map(|(q, _)| q.clone()).collect();
+    let headline = Quantity::headline(&quantities);
     for (pose_columns, patches) in made {
         for p in patches.iter().flatten() {
             facts.largest_saturated = facts.largest_saturated.max(p.missing);
         }
-        let headline = headline_quantity(&readings.quantities);
         if let (Some(column), Some(list)) = (pose_columns.get(headline), patches.get(headline)) {
             facts.floor_relative = facts.floor_relative.max(floor_relative(&projected, column, list));
         }
@@ -56,14 +56,7 @@ pub fn columns(run: &Run, readings: &Readings, views: &ReducedViews) -> Result<R
         columns.extend(pose_columns);
     }
     facts.finish_budget();
-    let quantities = readings.quantities.iter().map(|(q, _)| q.clone()).collect();
     Ok(Reduction { set: BsdfSet { basis: basis(run), quantities, columns }, facts })
-}
-
-/// Visible where there is one, else the lamp-weighted total.
-fn headline_quantity(quantities: &[(Quantity, Combiner)]) -> usize {
-    let at = |wanted: fn(&Quantity) -> bool| quantities.iter().position(|(q, _)| wanted(q));
-    at(|q| *q == Quantity::Visible).or_else(|| at(|q| matches!(q, Quantity::RadiometricTotal { .. }))).unwrap_or(0)
 }
 
 /// What light below the floor may add to the hemispherical value of a column, relative, k = 2.
