@@ -178,6 +178,8 @@ fn one_by_one(lab: &Lab, run: &Path, first: &BTreeMap<PathBuf, Vec<u8>>) {
 fn one_band_gives_everything_but_the_klems_file_and_says_why() {
     let lab = Lab::small();
     let scan = lab.scan("one_band.toml", &SHORT.replace("count = 60", "count = 1"));
+    let checked = lab.goniod(&["check", &text(&scan), "--instrument", &text(&lab.instrument())]);
+    assert!(checked.code == 0 && checked.err.contains("far enough for Visible and Solar"), "{}", checked.err);
     let run = lab.rehearse(&scan, "runs", &[]);
     for there in ["products/bsdf.h5", "products/report.html", "products/plots/overview.png"] {
         assert!(run.join(there).is_file(), "{there}");

@@ -10,11 +10,20 @@ mod optics;
 mod readings;
 mod views;
 
-pub use inputs::{Run, Standards};
+pub use inputs::{InstrumentSpectra, Run, Standards};
+pub use readings::Setup;
 
 use super::error::Result;
-use crate::engine::bsdf::set::BsdfSet;
+use crate::engine::bsdf::set::{BsdfSet, Quantity};
 use serde::Serialize;
+
+/// The quantities that a scan will give if every view is measured.
+///
+/// # Errors
+/// Spectra that cannot be combined.
+pub fn quantities(setup: Setup<'_>) -> Result<Vec<Quantity>> {
+    Ok(readings::readings(setup)?.quantities.into_iter().map(|(quantity, _)| quantity).collect())
+}
 
 /// Result of a reduction.
 #[derive(Debug, Clone)]
@@ -65,7 +74,7 @@ pub struct DarkFacts {
 /// [`super::error::ProductError`]: a damaged or foreign run, inputs that the engine refuses, a run without frames.
 pub fn reduce(run: &Run) -> Result<Reduction> {
     let cameras = optics::cameras(run)?;
-    let readings = readings::readings(run)?;
+    let readings = readings::readings(run.setup())?;
     let views = views::reduce_views(run, &cameras)?;
     columns::columns(run, &readings, &views)
 }
