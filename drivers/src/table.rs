@@ -3,8 +3,8 @@
 use crate::clock::Clock;
 use crate::contract::{FilterWheel, LightMonitor, Monochromator, RotaryAxis, Shutter, Spectrometer};
 use crate::devices::{
-    AxisConfig, Fw212c, LightMonitorConfig, MonochromatorConfig, Sc10, ShutterConfig, SpectrometerConfig, WheelConfig,
-    ZaberChain, thorlabs_fw212c, thorlabs_sc10,
+    AxisConfig, Cm110, Fw212c, LightMonitorConfig, MonochromatorConfig, Newport1830c, Sc10, ShutterConfig,
+    SpectrometerConfig, WheelConfig, ZaberChain, newport_1830c, spectral_cm110, thorlabs_fw212c, thorlabs_sc10,
 };
 use crate::error::{DeviceError, ErrorKind, Result};
 use crate::transport::{Connector, UsbConnector};
@@ -63,6 +63,8 @@ pub const DRIVERS: &[Driver] = &[
     Driver { name: "zaber-ascii", devices: "Zaber rotary stages, ASCII protocol, firmware 6.14 to 7.x", baud: 115_200, make: Make::Holder(zaber) },
     Driver { name: "thorlabs-fw212c", devices: "Thorlabs FW212C and FW102C filter wheels", baud: thorlabs_fw212c::BAUD, make: Make::FilterWheel(|c, w, k| Box::new(Fw212c::new(c, w, k))) },
     Driver { name: "thorlabs-sc10", devices: "Thorlabs SC10 shutter controller", baud: thorlabs_sc10::BAUD, make: Make::Shutter(|c, s, k| Box::new(Sc10::new(c, s, k))) },
+    Driver { name: "spectral-cm110", devices: "Spectral Products CM110 and CM112 monochromators", baud: spectral_cm110::BAUD, make: Make::Monochromator(|c, m, k| Box::new(Cm110::new(c, m, k))) },
+    Driver { name: "newport-1830c", devices: "Newport 1830-C power meter as light monitor", baud: newport_1830c::BAUD, make: Make::LightMonitor(|c, m, k| Box::new(Newport1830c::new(c, m, k))) },
 ];
 
 fn zaber(connector: Box<dyn Connector>, axes: Vec<AxisConfig>, clock: Clock) -> Vec<Box<dyn RotaryAxis>> {
@@ -118,6 +120,32 @@ pub fn shutter(
     match lookup(name)?.make {
         Make::Shutter(make) => Ok(make(connector, config, clock)),
         _ => Err(wrong_kind(name, "a shutter")),
+    }
+}
+
+/// Makes a monochromator with the driver called `name`.
+pub fn monochromator(
+    name: &str,
+    connector: Box<dyn Connector>,
+    config: MonochromatorConfig,
+    clock: Clock,
+) -> Result<Box<dyn Monochromator>> {
+    match lookup(name)?.make {
+        Make::Monochromator(make) => Ok(make(connector, config, clock)),
+        _ => Err(wrong_kind(name, "a monochromator")),
+    }
+}
+
+/// Makes a light monitor on a serial line with the driver called `name`.
+pub fn light_monitor(
+    name: &str,
+    connector: Box<dyn Connector>,
+    config: LightMonitorConfig,
+    clock: Clock,
+) -> Result<Box<dyn LightMonitor>> {
+    match lookup(name)?.make {
+        Make::LightMonitor(make) => Ok(make(connector, config, clock)),
+        _ => Err(wrong_kind(name, "a light monitor on a serial line")),
     }
 }
 

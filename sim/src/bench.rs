@@ -3,7 +3,7 @@
 use crate::camera::{FaultQueue, SimCamera};
 use crate::pose::PoseSource;
 use crate::truth::config::BenchFile;
-use crate::truth::draw::LampDraw;
+use crate::truth::lamp::SimLamp;
 use crate::truth::error::{Result, SimError};
 use crate::truth::expect::Expectation;
 use crate::truth::photo::{Photographer, Stage};
@@ -14,7 +14,6 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
-use tokio::time::Instant;
 
 /// Everything the cameras of one bench share.
 #[derive(Clone)]
@@ -23,10 +22,8 @@ pub struct Surroundings {
     pub poses: Arc<dyn PoseSource>,
     /// Time.
     pub clock: Clock,
-    /// The lamp's steadiness.
-    pub lamp: Arc<LampDraw>,
-    /// Instant at which the bench was opened.
-    pub opened: Instant,
+    /// The lamp.
+    pub lamp: SimLamp,
 }
 
 /// The bench.
@@ -73,14 +70,14 @@ impl Bench {
         poses: Arc<dyn PoseSource>,
         clock: Clock,
     ) -> Result<Bench> {
-        let lamp = Arc::new(LampDraw::new(&file.lamp, seed));
+        let lamp = SimLamp::new(&file.lamp, seed, clock.now());
         let stage = Arc::new(Stage::new(file, bench_toml, Sample::read(sample_toml)?, seed)?);
         let mut cameras = BTreeMap::new();
         for name in stage.file.camera.keys() {
             let photographer = Arc::new(Photographer::new(Arc::clone(&stage), bench_toml, name, seed)?);
             cameras.insert(name.clone(), Seat { photographer, frames: Arc::default(), faults: FaultQueue::default() });
         }
-        Ok(Bench { stage, cameras, surroundings: Surroundings { poses, clock, lamp, opened: clock.now() } })
+        Ok(Bench { stage, cameras, surroundings: Surroundings { poses, clock, lamp } })
     }
 
     /// The bench's description in force.
@@ -119,6 +116,11 @@ impl Bench {
             known: format!("light in slots {:?}", self.stage.beams.keys().collect::<Vec<_>>()),
         })?;
         Ok(weight.0.iter().enumerate().map(|(i, w)| (wavelength_nm(i), *w)).collect())
+    }
+
+    /// The lamp, which cameras and light monitor see and which faults happen to.
+    pub fn lamp(&self) -> &SimLamp {
+        &self.surroundings.lamp
     }
 
     /// The lamp's slow factor `seconds` after opening.

@@ -264,8 +264,7 @@ impl Job {
             }
         }
         let middle = start + length / 2;
-        let since = middle.checked_duration_since(self.surroundings.opened).unwrap_or_default();
-        let lamp = self.surroundings.lamp.exposure(since.as_secs_f64(), &self.name, self.shot.id);
+        let lamp = self.surroundings.lamp.exposure(start, length, &self.name, self.shot.id);
         let truth =
             PaintedTruth::new(&self.surroundings.poses.pose(middle), poses.len() > 1, exposure_time, self.shot.id);
         let exposure = Exposure { poses, seconds: exposure_time.seconds(), lamp };

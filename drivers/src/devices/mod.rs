@@ -2,7 +2,11 @@
 
 #[cfg(feature = "aravis")]
 pub mod aravis;
+pub mod cm110_wire;
+pub mod lamp;
+pub mod newport_1830c;
 mod prompt;
+pub mod spectral_cm110;
 pub mod thorlabs_fw212c;
 pub mod thorlabs_sc10;
 #[cfg(feature = "v4l2")]
@@ -12,6 +16,8 @@ mod zaber_chain;
 pub mod zaber_protocol;
 pub mod zaber_warning;
 
+pub use newport_1830c::Newport1830c;
+pub use spectral_cm110::Cm110;
 pub use thorlabs_fw212c::{Fw212c, WheelConfig};
 pub use thorlabs_sc10::{Sc10, ShutterConfig};
 pub use zaber_ascii::ZaberAxis;
