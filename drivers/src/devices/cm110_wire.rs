@@ -27,6 +27,9 @@ const QUIET: Duration = Duration::from_millis(100);
 const SYNC_TRIES: u32 = 6;
 /// Queries for two agreeing answers.
 const AGREE_TRIES: u32 = 6;
+/// Longest wait for a box that said something but not its echo: half a command that was left behind may have become a
+/// whole one, and it is deaf while it moves (the whole range at the slowest slew).
+const STRAY_MOVE: Duration = Duration::from_secs(60);
 /// Pause between echoes while the drive moves.
 const MOVING_POLL: Duration = Duration::from_secs(1);
 
@@ -62,6 +65,17 @@ pub enum Query {
 /// A status byte.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Status(pub u8);
+
+/// What came after an ECHO.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Echo {
+    /// The echo and nothing else.
+    Exact,
+    /// Something else.
+    Other,
+    /// Nothing.
+    Silence,
+}
 
 /// A link to one monochromator.
 pub(super) struct Cm110Wire {
@@ -138,17 +152,23 @@ impl Cm110Wire {
     pub(super) async fn synchronise(&mut self) -> Result<()> {
         self.suspect = true;
         while self.deaf_until.is_some_and(|until| self.clock.now() < until) {
-            if self.echo().await? {
+            if self.echo().await? == Echo::Exact {
                 break;
             }
             self.clock.sleep(MOVING_POLL).await;
         }
         self.deaf_until = None;
-        for _ in 0..SYNC_TRIES {
-            if self.echo().await? && self.echo().await? {
+        let mut heard = false;
+        let begun = self.clock.now();
+        let mut tries = 0;
+        while tries < SYNC_TRIES || (heard && self.clock.now() < begun + STRAY_MOVE) {
+            let first = self.echo().await?;
+            if first == Echo::Exact && self.echo().await? == Echo::Exact {
                 self.suspect = false;
                 return Ok(());
             }
+            heard |= first != Echo::Silence;
+            tries += 1;
         }
         let what = format!(
             "no exact answer to ECHO in {SYNC_TRIES} tries; check power, cable, that it does not move just now and that the right device is connected"
@@ -156,19 +176,23 @@ impl Cm110Wire {
         Err(self.error(ErrorKind::Timeout, what))
     }
 
-    /// One echo; true when it and nothing else was answered.
-    async fn echo(&mut self) -> Result<bool> {
+    /// One echo.
+    async fn echo(&mut self) -> Result<Echo> {
         let deadline_after = |clock: &Clock| clock.now() + ECHO_LIMIT;
         let clock = self.clock;
         let link = self.link()?;
         let work = async {
-            link.drain(QUIET).await?;
+            let before = link.drain(QUIET).await?;
             link.send(&[ECHO]).await?;
             let answer = link.exactly(1, deadline_after(&clock)).await?;
-            Ok((answer, link.unsolicited().await?))
+            Ok((answer, before, link.unsolicited().await?))
         };
-        let (answer, late) = work.await.map_err(|e| self.fail(e))?;
-        Ok(late == 0 && answer.as_deref() == Some(&[ECHO]))
+        let (answer, before, late) = work.await.map_err(|e| self.fail(e))?;
+        Ok(match answer.as_deref() {
+            Some(&[ECHO]) if late == 0 => Echo::Exact,
+            None if before == 0 => Echo::Silence,
+            _ => Echo::Other,
+        })
     }
 
     /// Value and status of a query, asked until two answers in a row agree; lost and garbled answers are asked again.

@@ -254,6 +254,10 @@ impl Newport1830c {
             wanted.extend(setting.needed().map(|value| (setting, value)));
         }
         for (setting, value) in wanted {
+            // What is expected needs no second answer; anything else does.
+            if self.ask(&format!("{}?", setting.letter())).await.is_ok_and(|text| text == value.to_string()) {
+                continue;
+            }
             let found = self.get(setting).await?;
             if found != value {
                 self.wavelength = None;
