@@ -262,3 +262,23 @@ pub struct SafeState {
     /// Limit for each.
     pub limit_s: f64,
 }
+
+// === impl Camera ===
+
+impl Camera {
+    /// Format that holds every frame of this camera: that of the longest sum where exposures are summed.
+    pub fn stored_format(&self) -> PixelFormat {
+        match self.v4l2.as_ref().and_then(|table| table.sum_frames) {
+            Some(exposures) if exposures > 1 => {
+                PixelFormat::Summed { mosaic: self.format.mosaic(), bits: self.format.bits(), exposures }
+            }
+            _ => self.format,
+        }
+    }
+
+    /// Frames that are summed for an exposure of `total_s`; 1 where the camera does not sum.
+    pub fn frames_in(&self, total_s: f64) -> u16 {
+        let sums = self.v4l2.as_ref().filter(|table| table.sum_frames.is_some_and(|most| most > 1));
+        sums.map_or(1, |table| V4l2Table::frames_in(total_s, table.longest_frame_s.unwrap_or(self.longest_s)) as u16)
+    }
+}

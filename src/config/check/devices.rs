@@ -77,10 +77,6 @@ fn ports(i: &Instrument, report: &mut Report<'_>) {
     for (device, driver, port) in &cameras {
         let key = format!("{device}.port");
         match (driver.starts_with("sim-"), simulated(port)) {
-            (true, false) => report.error(
-                &key,
-                format!("`{key}` is \"{port}\", but driver \"{driver}\" photographs the simulated bench only; write `sim:…` or name the driver of a real camera"),
-            ),
             (false, true) => report.error(
                 &key,
                 format!("`{key}` is \"{port}\", but driver \"{driver}\" drives real cameras; write its address or device path, or name a simulated camera's driver"),

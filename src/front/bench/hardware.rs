@@ -37,11 +37,7 @@ fn cameras(instrument: &Instrument, clock: Clock) -> Result<BTreeMap<String, Box
 }
 
 /// A real camera, made by its driver; nothing is sent.
-pub(super) fn camera(
-    name: &str,
-    camera: &instrument::Camera,
-    clock: Clock,
-) -> Result<Box<dyn Camera>, BenchError> {
+pub(super) fn camera(name: &str, camera: &instrument::Camera, clock: Clock) -> Result<Box<dyn Camera>, BenchError> {
     let config = CameraConfig {
         name: format!("camera.{name}"),
         port: camera.port.clone(),
