@@ -14,7 +14,8 @@ use goniod_drivers::transport::Connector;
 use tokio::time::Instant;
 
 /// Names of the simulated ports.
-pub const PORTS: [&str; 5] = ["sim:holder", "sim:filter-wheel", "sim:shutter", "sim:monochromator", "sim:light-monitor"];
+pub const PORTS: [&str; 5] =
+    ["sim:holder", "sim:filter-wheel", "sim:shutter", "sim:monochromator", "sim:light-monitor"];
 
 /// What the lamp puts on the light monitor before a bench's own lamp is looked at, watts.
 const MONITOR_W: f64 = 1e-3;

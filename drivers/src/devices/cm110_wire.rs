@@ -244,9 +244,7 @@ impl Cm110Wire {
         let status = Status(status.first().copied().unwrap_or_default());
         if status.rejected() {
             let _ = self.take(1, self.clock.now() + REJECTION_END).await?;
-            return Err(
-                self.error(ErrorKind::Refused, format!("the device rejected {request:?}: {}", status.reason()))
-            );
+            return Err(self.error(ErrorKind::Refused, format!("the device rejected {request:?}: {}", status.reason())));
         }
         match self.take(1, self.clock.now() + limit).await?.as_deref() {
             Some(&[END]) => {
@@ -316,9 +314,7 @@ mod tests {
     fn nothing_that_changes_the_calibration_can_be_encoded() {
         let mut all = vec![Request::Angstroms];
         all.extend((0..=u16::MAX).map(Request::Goto));
-        for query in
-            [Query::Position, Query::Grooves, Query::Grating, Query::Gratings, Query::Units, Query::Serial]
-        {
+        for query in [Query::Position, Query::Grooves, Query::Grating, Query::Gratings, Query::Units, Query::Serial] {
             all.push(Request::Query(query));
         }
         assert!(all.iter().all(|r| ![52, 7, 1, 18, 255].contains(&r.bytes()[0])));
@@ -327,7 +323,10 @@ mod tests {
     #[test]
     fn status_bytes_are_those_of_the_sheet() {
         assert!(!Status(0x02).rejected() && !Status(0x42).rejected());
-        assert_eq!((Status(0x82).reason(), Status(0xa2).reason()), ("the value is too large", "the value is too small"));
+        assert_eq!(
+            (Status(0x82).reason(), Status(0xa2).reason()),
+            ("the value is too large", "the value is too small")
+        );
         assert_eq!((Status(0x62).units(), Status(0x01).units()), (2, 1));
     }
 }

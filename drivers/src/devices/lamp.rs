@@ -175,9 +175,8 @@ impl LampModel {
     /// A reading of the light monitor. Saturated readings tell only that it burns.
     pub fn observe(&mut self, power_w: f64, saturated: bool, now: Instant) -> Option<LampEvent> {
         let last = self.readings.back().map(|(_, power)| *power);
-        let threshold = last.map_or(self.config.burns_above_w, |last| {
-            (self.config.out_below * last).max(self.config.burns_above_w)
-        });
+        let threshold = last
+            .map_or(self.config.burns_above_w, |last| (self.config.out_below * last).max(self.config.burns_above_w));
         let burns = saturated || power_w > threshold;
         match (self.burning_since, burns) {
             (None, false) => {

@@ -11,12 +11,7 @@ fn lamp() -> (LampModel, Instant) {
 }
 
 /// Reads `light(seconds)` every second for so long; gives what happened, with the second.
-fn watch(
-    model: &mut LampModel,
-    from: Instant,
-    seconds: u32,
-    light: impl Fn(f64) -> f64,
-) -> Vec<(u32, LampEvent)> {
+fn watch(model: &mut LampModel, from: Instant, seconds: u32, light: impl Fn(f64) -> f64) -> Vec<(u32, LampEvent)> {
     let read = |s: u32| model.observe(light(f64::from(s)), false, from + SECOND * s).map(|event| (s, event));
     (0..=seconds).filter_map(read).collect()
 }

@@ -2,6 +2,7 @@
 
 #[cfg(feature = "aravis")]
 pub mod aravis;
+pub mod camera;
 pub mod cm110_wire;
 pub mod lamp;
 pub mod newport_1830c;
@@ -16,6 +17,7 @@ mod zaber_chain;
 pub mod zaber_protocol;
 pub mod zaber_warning;
 
+pub use camera::CameraConfig;
 pub use newport_1830c::Newport1830c;
 pub use spectral_cm110::Cm110;
 pub use thorlabs_fw212c::{Fw212c, WheelConfig};

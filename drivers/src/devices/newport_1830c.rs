@@ -203,8 +203,11 @@ impl Newport1830c {
             return Ok(());
         }
         let refused = self.number("Q?").await? & status::PARAMETER_ERROR != 0;
-        let (kind, why) =
-            if refused { (ErrorKind::Refused, "it refuses the value") } else { (ErrorKind::Broken, "it does not keep it") };
+        let (kind, why) = if refused {
+            (ErrorKind::Refused, "it refuses the value")
+        } else {
+            (ErrorKind::Broken, "it does not keep it")
+        };
         Err(self.error(kind, format!("`{letter}{value}` has no effect: {why}; check head and instrument file")))
     }
 
@@ -403,7 +406,8 @@ mod tests {
 
     #[test]
     fn powers_are_read_as_the_meter_writes_them() {
-        for (text, value) in [("+.11E-9", 0.11e-9), ("5E-9", 5e-9), ("-1.234E-3", -1.234e-3), ("+12.34E-06", 12.34e-6)] {
+        for (text, value) in [("+.11E-9", 0.11e-9), ("5E-9", 5e-9), ("-1.234E-3", -1.234e-3), ("+12.34E-06", 12.34e-6)]
+        {
             assert_eq!(watts(text), Some(value), "{text}");
         }
         for text in ["-15.24", "E-9", "1.2.3E-3", "1E", "nanE1", "", "1E-999", "D?", "+-1E-3"] {

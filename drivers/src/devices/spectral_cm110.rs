@@ -78,8 +78,7 @@ impl Cm110 {
     }
 
     fn check_open(&self) -> Result<Grating> {
-        self.grating
-            .ok_or_else(|| self.wire.error(ErrorKind::Refused, "the monochromator is not open; open it first"))
+        self.grating.ok_or_else(|| self.wire.error(ErrorKind::Refused, "the monochromator is not open; open it first"))
     }
 
     /// The target in angstroms, when it may be commanded.
@@ -133,7 +132,9 @@ impl Cm110 {
         }
         match self.wire.query(Query::Units).await?.0 {
             units if units == u16::from(ANGSTROM) => Ok(()),
-            units => Err(self.wire.error(ErrorKind::Broken, format!("does not keep angstroms, its units stay {units}"))),
+            units => {
+                Err(self.wire.error(ErrorKind::Broken, format!("does not keep angstroms, its units stay {units}")))
+            }
         }
     }
 }
@@ -192,7 +193,10 @@ impl Device for Cm110 {
 impl Monochromator for Cm110 {
     fn limits(&self) -> (Nanometres, Nanometres) {
         let reach = self.grating.map_or(self.config.max.0, |g| g.reach().0);
-        (Nanometres(self.config.min.0.max(0.0)), Nanometres(self.config.max.0.min(reach).min(f64::from(u16::MAX) / 10.0)))
+        (
+            Nanometres(self.config.min.0.max(0.0)),
+            Nanometres(self.config.max.0.min(reach).min(f64::from(u16::MAX) / 10.0)),
+        )
     }
 
     async fn tune(&mut self, target: Nanometres) -> Result<Nanometres> {

@@ -60,7 +60,9 @@ async fn the_twin_speaks_as_public_clients_expect() {
         let line = link.line(clock.now() + Duration::from_millis(100)).await.unwrap().unwrap();
         assert_eq!(String::from_utf8(line).unwrap(), answer, "{sent}");
     }
-    for (sent, low, high) in [("W550\nD?\n", 0.999e-3, 1.001e-3), ("U3\nD?\n", -0.02, 0.02), ("S\nU2\nD?\n", -0.01, 0.01)] {
+    for (sent, low, high) in
+        [("W550\nD?\n", 0.999e-3, 1.001e-3), ("U3\nD?\n", -0.02, 0.02), ("S\nU2\nD?\n", -0.01, 0.01)]
+    {
         link.send(sent.as_bytes()).await.unwrap();
         let line = link.line(clock.now() + Duration::from_millis(100)).await.unwrap().unwrap();
         let value = number(&String::from_utf8(line).unwrap());

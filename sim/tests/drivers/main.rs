@@ -73,8 +73,7 @@ fn bench_of(spec: TwinsSpec) -> Bench {
         average: 4,
     };
     Bench {
-        monochromator: table::monochromator("spectral-cm110", port("sim:monochromator"), monochromator, clock)
-            .unwrap(),
+        monochromator: table::monochromator("spectral-cm110", port("sim:monochromator"), monochromator, clock).unwrap(),
         light_monitor: table::light_monitor("newport-1830c", port("sim:light-monitor"), light_monitor, clock).unwrap(),
         axes: table::holder("zaber-ascii", port("sim:holder"), axes, clock).unwrap(),
         wheel: table::filter_wheel("thorlabs-fw212c", port("sim:filter-wheel"), wheel, clock).unwrap(),

@@ -139,7 +139,10 @@ async fn every_fault_of_the_wire_ends_in_the_truth() {
                 inject(&bench, fault.clone());
                 let tuned = bench.monochromator.tune(Nanometres(target)).await;
                 let tuned = tuned.unwrap_or_else(|e| panic!("{fault:?} after {before}: {e}"));
-                assert!((tuned.0 - truth(&bench)).abs() < 0.051 && (tuned.0 - target).abs() < 0.21, "{fault:?} {before}");
+                assert!(
+                    (tuned.0 - truth(&bench)).abs() < 0.051 && (tuned.0 - target).abs() < 0.21,
+                    "{fault:?} {before}"
+                );
             }
         }
     }
