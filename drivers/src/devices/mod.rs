@@ -2,9 +2,15 @@
 
 #[cfg(feature = "aravis")]
 pub mod aravis;
+pub mod oceanoptics;
+pub mod oceanoptics_protocol;
+mod oceanoptics_scale;
 mod prompt;
 pub mod thorlabs_fw212c;
+pub mod thorlabs_pm100;
+mod thorlabs_pm100_text;
 pub mod thorlabs_sc10;
+pub mod usbtmc;
 #[cfg(feature = "v4l2")]
 pub mod v4l2;
 pub mod zaber_ascii;
@@ -12,7 +18,9 @@ mod zaber_chain;
 pub mod zaber_protocol;
 pub mod zaber_warning;
 
+pub use oceanoptics::OceanOptics;
 pub use thorlabs_fw212c::{Fw212c, WheelConfig};
+pub use thorlabs_pm100::Pm100;
 pub use thorlabs_sc10::{Sc10, ShutterConfig};
 pub use zaber_ascii::ZaberAxis;
 pub use zaber_chain::ZaberChain;
