@@ -3,8 +3,8 @@
 use crate::clock::Clock;
 use crate::contract::{Camera, FilterWheel, LightMonitor, Monochromator, RotaryAxis, Shutter, Spectrometer};
 use crate::devices::{
-    AxisConfig, CameraConfig, Cm110, Fw212c, LightMonitorConfig, MonochromatorConfig, Newport1830c, Sc10,
-    ShutterConfig, SpectrometerConfig, WheelConfig, ZaberChain, newport_1830c, spectral_cm110, thorlabs_fw212c,
+    AxisConfig, CameraConfig, Cm110, Fw212c, LightMonitorConfig, MonochromatorConfig, Newport1830c, OceanOptics, Pm100,
+    Sc10, ShutterConfig, SpectrometerConfig, WheelConfig, ZaberChain, newport_1830c, spectral_cm110, thorlabs_fw212c,
     thorlabs_sc10,
 };
 use crate::error::{DeviceError, ErrorKind, Result};
@@ -68,6 +68,8 @@ pub struct Driver {
 pub const DRIVERS: &[Driver] = &[
     Driver { name: "zaber-ascii", devices: "Zaber rotary stages, ASCII protocol, firmware 6.14 to 7.x", baud: 115_200, make: Make::Holder(zaber) },
     Driver { name: "thorlabs-fw212c", devices: "Thorlabs FW212C and FW102C filter wheels", baud: thorlabs_fw212c::BAUD, make: Make::FilterWheel(|c, w, k| Box::new(Fw212c::new(c, w, k))) },
+    Driver { name: "thorlabs-pm100", devices: "Thorlabs PM100D, PM100A and PM100USB power meters", baud: 0, make: Make::UsbLightMonitor(|c, m, k| Box::new(Pm100::new(c, m, k))) },
+    Driver { name: "oceanoptics-usb", devices: "Ocean Optics USB2000, USB2000+ and USB4000 spectrometers", baud: 0, make: Make::Spectrometer(|c, s, k| Box::new(OceanOptics::new(c, s, k))) },
     Driver { name: "thorlabs-sc10", devices: "Thorlabs SC10 shutter controller", baud: thorlabs_sc10::BAUD, make: Make::Shutter(|c, s, k| Box::new(Sc10::new(c, s, k))) },
     Driver { name: "spectral-cm110", devices: "Spectral Products CM110 and CM112 monochromators", baud: spectral_cm110::BAUD, make: Make::Monochromator(|c, m, k| Box::new(Cm110::new(c, m, k))) },
     Driver { name: "newport-1830c", devices: "Newport 1830-C power meter as light monitor", baud: newport_1830c::BAUD, make: Make::LightMonitor(|c, m, k| Box::new(Newport1830c::new(c, m, k))) },
@@ -169,6 +171,32 @@ pub fn light_monitor(
     match lookup(name)?.make {
         Make::LightMonitor(make) => Ok(make(connector, config, clock)),
         _ => Err(wrong_kind(name, "a light monitor on a serial line")),
+    }
+}
+
+/// Makes a light monitor on USB with the driver called `name`.
+pub fn usb_light_monitor(
+    name: &str,
+    connector: Box<dyn UsbConnector>,
+    config: LightMonitorConfig,
+    clock: Clock,
+) -> Result<Box<dyn LightMonitor>> {
+    match lookup(name)?.make {
+        Make::UsbLightMonitor(make) => Ok(make(connector, config, clock)),
+        _ => Err(wrong_kind(name, "a light monitor on USB")),
+    }
+}
+
+/// Makes a spectrometer with the driver called `name`.
+pub fn spectrometer(
+    name: &str,
+    connector: Box<dyn UsbConnector>,
+    config: SpectrometerConfig,
+    clock: Clock,
+) -> Result<Box<dyn Spectrometer>> {
+    match lookup(name)?.make {
+        Make::Spectrometer(make) => Ok(make(connector, config, clock)),
+        _ => Err(wrong_kind(name, "a spectrometer")),
     }
 }
 
