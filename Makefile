@@ -2,9 +2,10 @@
 
 SHELL := /bin/bash
 GONIOD := target/debug/goniod
+FEATURES ?= --all-features
 RUNS ?= runs/demo
 
-.PHONY: demo test check setup setup-python build validate bench clean
+.PHONY: demo test check setup setup-python build validate bench soak-cameras clean
 
 ## Measure a simulated sample and show where the products are.
 demo: build
@@ -17,18 +18,23 @@ test: setup setup-python
 ## Formatting and lints.
 check: setup
 	cargo fmt --all -- --check
-	cargo clippy --workspace --all-targets -- -D warnings
+	cargo clippy --workspace --all-targets $(FEATURES) -- -D warnings
 
 ## Simulated samples through the whole chain: the table of what came back.
 validate: setup
-	cargo test --test validate -- --nocapture
+	cargo test $(FEATURES) --test validate -- --nocapture
 
 ## Ratios of the pixel pass against a plain implementation, in the same process.
 bench: setup
-	cargo bench --profile dev
+	cargo bench --profile dev $(FEATURES)
+
+## Both camera drivers against their twins with the full counts (docs/cameras.md), about half an hour.
+soak-cameras: setup setup-python
+	GONIOD_FULL=1 cargo test -p goniod-drivers $(FEATURES) --test v4l2 -- --nocapture
+	GONIOD_FULL=1 cargo test -p goniod-sim $(FEATURES) --test gige -- --nocapture
 
 build: setup
-	cargo build
+	cargo build $(FEATURES)
 
 setup:
 	bash tests/setup.sh packages

@@ -4,6 +4,9 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stderr)]
 
 mod common;
+#[cfg(feature = "aravis")]
+#[path = "labels/gige.rs"]
+mod gige;
 
 use common::Lab;
 use goniod::archive::RunDir;

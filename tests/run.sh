@@ -6,11 +6,14 @@ cd "$(dirname "$0")/.."
 log=$(mktemp)
 trap 'rm -f "$log"' EXIT
 
-cargo fmt --all -- --check && cargo clippy --workspace --all-targets --quiet -- -D warnings
+cargo fmt --all -- --check \
+    && cargo clippy --workspace --all-targets --all-features --quiet -- -D warnings \
+    && cargo clippy -p goniod --no-default-features --quiet -- -D warnings \
+    && cargo clippy -p goniod --quiet -- -D warnings
 lints=$?
-[ $lints = 0 ] || echo "run.sh: formatting or lints failed"
+[ $lints = 0 ] || echo "run.sh: formatting, lints or a combination of features failed"
 
-cargo test --workspace --no-fail-fast -- "$@" 2>&1 | tee "$log"
+cargo test --workspace --all-features --no-fail-fast -- "$@" 2>&1 | tee "$log"
 tests=${PIPESTATUS[0]}
 
 awk '/^test result:/ { p += $4; f += $6; s += $8 } END { printf "%d passed, %d failed, %d skipped\n", p, f, s }' "$log"

@@ -9,7 +9,7 @@ use std::sync::Arc;
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let address: Ipv4Addr = std::env::args().nth(1).unwrap_or_else(|| "127.0.0.30".to_owned()).parse()?;
     let mut config = TwinConfig::quick(address, "SU320-0042");
-    config.real_exposure = true;
+    (config.real_exposure, config.discoverable) = (true, true);
     let twin = GigeTwin::start(config, Arc::new(Painted))?;
     println!("GigE Vision camera at {}; it is switched off at the end of input", twin.address());
     std::io::stdin().read_to_end(&mut Vec::new())?;

@@ -1,11 +1,12 @@
 //! The simulated bench as a whole: opened from its file, a sample file and a seed; gives cameras and true answers.
 
 use crate::camera::{FaultQueue, SimCamera};
+use crate::gige::BenchScene;
 use crate::pose::PoseSource;
 use crate::truth::config::BenchFile;
-use crate::truth::draw::LampDraw;
 use crate::truth::error::{Result, SimError};
 use crate::truth::expect::Expectation;
+use crate::truth::lamp::SimLamp;
 use crate::truth::photo::{Photographer, Stage};
 use crate::truth::sample::Sample;
 use crate::truth::spectrum::wavelength_nm;
@@ -14,7 +15,6 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
-use tokio::time::Instant;
 
 /// Everything the cameras of one bench share.
 #[derive(Clone)]
@@ -23,10 +23,8 @@ pub struct Surroundings {
     pub poses: Arc<dyn PoseSource>,
     /// Time.
     pub clock: Clock,
-    /// The lamp's steadiness.
-    pub lamp: Arc<LampDraw>,
-    /// Instant at which the bench was opened.
-    pub opened: Instant,
+    /// The lamp.
+    pub lamp: SimLamp,
 }
 
 /// The bench.
@@ -73,14 +71,14 @@ impl Bench {
         poses: Arc<dyn PoseSource>,
         clock: Clock,
     ) -> Result<Bench> {
-        let lamp = Arc::new(LampDraw::new(&file.lamp, seed));
+        let lamp = SimLamp::new(&file.lamp, seed, clock.now());
         let stage = Arc::new(Stage::new(file, bench_toml, Sample::read(sample_toml)?, seed)?);
         let mut cameras = BTreeMap::new();
         for name in stage.file.camera.keys() {
             let photographer = Arc::new(Photographer::new(Arc::clone(&stage), bench_toml, name, seed)?);
             cameras.insert(name.clone(), Seat { photographer, frames: Arc::default(), faults: FaultQueue::default() });
         }
-        Ok(Bench { stage, cameras, surroundings: Surroundings { poses, clock, lamp, opened: clock.now() } })
+        Ok(Bench { stage, cameras, surroundings: Surroundings { poses, clock, lamp } })
     }
 
     /// The bench's description in force.
@@ -93,6 +91,12 @@ impl Bench {
         let seat = self.seat(name)?;
         let (photographer, frames) = (Arc::clone(&seat.photographer), Arc::clone(&seat.frames));
         Ok(SimCamera::new(name, photographer, self.surroundings.clone(), frames, seat.faults.clone()))
+    }
+
+    /// What the camera `name` would photograph, as the scene of a GigE Vision twin with this sensor.
+    pub fn scene(&self, name: &str) -> Result<BenchScene> {
+        let photographer = Arc::clone(&self.seat(name)?.photographer);
+        Ok(BenchScene::new(name, photographer, self.surroundings.clone()))
     }
 
     /// Faults to come of the camera `name`, shared by all its handles.
@@ -119,6 +123,11 @@ impl Bench {
             known: format!("light in slots {:?}", self.stage.beams.keys().collect::<Vec<_>>()),
         })?;
         Ok(weight.0.iter().enumerate().map(|(i, w)| (wavelength_nm(i), *w)).collect())
+    }
+
+    /// The lamp, which cameras and light monitor see and which faults happen to.
+    pub fn lamp(&self) -> &SimLamp {
+        &self.surroundings.lamp
     }
 
     /// The lamp's slow factor `seconds` after opening.

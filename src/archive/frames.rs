@@ -7,7 +7,7 @@
 use super::disk::{Disk, make_folders, sha256_hex};
 use super::error::{ArchiveError, Result};
 use super::layout::ArrayLayout;
-use goniod_drivers::frame::Pixels;
+use goniod_drivers::frame::{PixelFormat, Pixels};
 use std::collections::BTreeMap;
 use std::num::NonZeroU64;
 use std::path::{Path, PathBuf};
@@ -153,6 +153,10 @@ impl CameraArray {
         let wide = self.layout.format.levels() > 256;
         let raw = match pixels {
             Pixels::U8(v) if !wide => v.clone(),
+            // A camera that sums long exposures gives its short ones as they are.
+            Pixels::U8(v) if matches!(self.layout.format, PixelFormat::Summed { .. }) => {
+                v.iter().flat_map(|b| u16::from(*b).to_ne_bytes()).collect()
+            }
             Pixels::U16(v) if wide => v.iter().flat_map(|w| w.to_ne_bytes()).collect(),
             _ => return Err(self.misfit("other depth")),
         };

@@ -1,5 +1,6 @@
 //! `instrument.toml`: devices, ports, geometry, cameras, filter slots, limits, safe state.
 
+use goniod_drivers::devices::camera::{AravisTable, V4l2Table};
 use goniod_drivers::frame::PixelFormat;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -178,7 +179,7 @@ pub struct Shutter {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Camera {
-    /// Driver name (`sim-ccd`, `sim-ingaas`; `v4l2` and `aravis` later).
+    /// Driver name (`v4l2`, `aravis`; `sim-ccd`, `sim-ingaas` for the simulated bench's own).
     pub driver: String,
     /// Device path or address, or `sim:ccd`.
     pub port: String,
@@ -206,6 +207,10 @@ pub struct Camera {
     pub restart_s: Option<f64>,
     /// Calibration file of this camera, relative to the instrument file.
     pub calibration: PathBuf,
+    /// What only the driver `v4l2` needs.
+    pub v4l2: Option<V4l2Table>,
+    /// What only the driver `aravis` needs.
+    pub aravis: Option<AravisTable>,
 }
 
 /// Mirror and port.
@@ -256,4 +261,24 @@ pub struct SafeState {
     pub order: Vec<String>,
     /// Limit for each.
     pub limit_s: f64,
+}
+
+// === impl Camera ===
+
+impl Camera {
+    /// Format that holds every frame of this camera: that of the longest sum where exposures are summed.
+    pub fn stored_format(&self) -> PixelFormat {
+        match self.v4l2.as_ref().and_then(|table| table.sum_frames) {
+            Some(exposures) if exposures > 1 => {
+                PixelFormat::Summed { mosaic: self.format.mosaic(), bits: self.format.bits(), exposures }
+            }
+            _ => self.format,
+        }
+    }
+
+    /// Frames that are summed for an exposure of `total_s`; 1 where the camera does not sum.
+    pub fn frames_in(&self, total_s: f64) -> u16 {
+        let sums = self.v4l2.as_ref().filter(|table| table.sum_frames.is_some_and(|most| most > 1));
+        sums.map_or(1, |table| V4l2Table::frames_in(total_s, table.longest_frame_s.unwrap_or(self.longest_s)) as u16)
+    }
 }

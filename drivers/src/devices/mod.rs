@@ -2,9 +2,20 @@
 
 #[cfg(feature = "aravis")]
 pub mod aravis;
+pub mod camera;
+pub mod cm110_wire;
+pub mod lamp;
+pub mod newport_1830c;
+pub mod oceanoptics;
+pub mod oceanoptics_protocol;
+mod oceanoptics_scale;
 mod prompt;
+pub mod spectral_cm110;
 pub mod thorlabs_fw212c;
+pub mod thorlabs_pm100;
+mod thorlabs_pm100_text;
 pub mod thorlabs_sc10;
+pub mod usbtmc;
 #[cfg(feature = "v4l2")]
 pub mod v4l2;
 pub mod zaber_ascii;
@@ -12,7 +23,12 @@ mod zaber_chain;
 pub mod zaber_protocol;
 pub mod zaber_warning;
 
+pub use camera::CameraConfig;
+pub use newport_1830c::Newport1830c;
+pub use oceanoptics::OceanOptics;
+pub use spectral_cm110::Cm110;
 pub use thorlabs_fw212c::{Fw212c, WheelConfig};
+pub use thorlabs_pm100::Pm100;
 pub use thorlabs_sc10::{Sc10, ShutterConfig};
 pub use zaber_ascii::ZaberAxis;
 pub use zaber_chain::ZaberChain;

@@ -100,6 +100,16 @@ impl Link {
         }
     }
 
+    /// Exactly `count` bytes (binary protocols: read by length), or `None` at `deadline`; fewer bytes stay unread.
+    pub async fn exactly(&mut self, count: usize, deadline: Instant) -> Result<Option<Vec<u8>>> {
+        while self.unread.len() < count {
+            if !self.fill(deadline).await? {
+                return Ok(None);
+            }
+        }
+        Ok(Some(self.unread.drain(..count).collect()))
+    }
+
     /// Throws away what is there and what comes until the line has been quiet for `quiet`; gives the number of bytes.
     /// `Garbled` when the device does not stop sending.
     pub async fn drain(&mut self, quiet: Duration) -> Result<usize> {
@@ -186,6 +196,17 @@ mod tests {
         assert_eq!(link.prompt(soon).await.unwrap().unwrap(), b"pos?\r3\r");
         assert_eq!(link.prompt(soon).await.unwrap().unwrap(), b"pcount?\r12\r");
         assert_eq!(link.prompt(soon).await.unwrap(), None);
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn bytes_are_read_by_length_and_a_part_of_them_stays() {
+        let (mut link, mut far, clock) = pair();
+        far.write_all(&[0x18, 0x18, 0x02]).await.unwrap();
+        let soon = clock.now() + Duration::from_millis(10);
+        assert_eq!(link.exactly(4, soon).await.unwrap(), None);
+        far.write_all(&[0x18, 0x1b]).await.unwrap();
+        assert_eq!(link.exactly(4, soon).await.unwrap().unwrap(), [0x18, 0x18, 0x02, 0x18]);
+        assert_eq!(link.exactly(1, soon).await.unwrap().unwrap(), [0x1b]);
     }
 
     #[tokio::test(start_paused = true)]

@@ -11,7 +11,7 @@ pub mod usb;
 pub use link::{Link, Stream};
 #[cfg(feature = "serial")]
 pub use serial::SerialConnector;
-pub use usb::UsbConnector;
+pub use usb::{UsbConnector, UsbLink};
 
 use crate::error::Result;
 use async_trait::async_trait;

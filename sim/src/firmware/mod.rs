@@ -3,8 +3,10 @@
 //! A twin gets bytes and an instant, and gives bytes that are due at an instant. It never waits and never reads a clock,
 //! so its truth can be asked for any instant, past or present. Faults are injected as values.
 
+pub mod cm110;
 pub mod fw212c;
 pub mod motion;
+pub mod newport_1830c;
 pub mod outbox;
 pub mod prompt;
 pub mod sc10;

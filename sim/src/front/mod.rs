@@ -2,5 +2,6 @@
 
 pub mod pipe;
 pub mod usb;
+pub mod usbip;
 
 pub use pipe::{PipeConnector, PipePort};

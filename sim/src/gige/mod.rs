@@ -4,14 +4,16 @@
 //! drives it. Its picture comes from a [`Scene`]; what it really did for every block is in [`GigeTwin::truth`], so a
 //! test can hold a frame's label against it. Every 127.0.0.x is a camera of its own, without configuration.
 //!
-//! - [`scene`]: what is photographed
+//! - [`scene`]: what is photographed; [`bench_scene`]: the simulated bench as a scene
 //! - [`faults`]: what can go wrong, and the record of truth
 //! - [`registers`], [`address`], [`xml`]: what it tells and obeys
 //! - [`gvcp`], [`gvsp`], [`pixel`]: the bytes
 //! - [`control`], [`sensor`], [`shared`]: its two threads and what they share
 
 pub mod address;
+pub mod bench_scene;
 pub mod control;
+mod discovery;
 pub mod faults;
 pub mod gvcp;
 pub mod gvsp;
@@ -22,6 +24,7 @@ pub mod sensor;
 pub mod shared;
 pub mod xml;
 
+pub use bench_scene::BenchScene;
 pub use faults::{Faults, FrameFault, Traffic, Truth};
 pub use pixel::PixelCode;
 pub use registers::Sensor;
@@ -101,6 +104,11 @@ impl GigeTwin {
         self.shared.registers().get_f64(address::EXPOSURE)
     }
 
+    /// The gain its register holds now, in dB.
+    pub fn gain_db(&self) -> f64 {
+        self.shared.registers().get_f64(address::GAIN)
+    }
+
     /// Takes control away from whoever has it.
     pub fn drop_control(&self) {
         if let Some(orders) = &self.orders {
@@ -137,6 +145,8 @@ impl GigeTwin {
         let source = stream.local_addr()?.port();
         self.shared.stop.store(false, Ordering::SeqCst);
         self.shared.registers().put(address::STREAM_SOURCE, u32::from(source));
+        let calls = config.discoverable.then(|| Ok::<_, io::Error>((discovery::listen()?, socket.try_clone()?)));
+        let calls = calls.transpose()?;
         let (orders, inbox) = channel();
         let control = Control::new(Arc::clone(&self.shared), socket, stream.try_clone()?, orders.clone());
         let sensor = SensorThread::new(Arc::clone(&self.shared), stream, inbox);
@@ -145,6 +155,11 @@ impl GigeTwin {
             std::thread::Builder::new().name(name("control")).spawn(move || control.run())?,
             std::thread::Builder::new().name(name("sensor")).spawn(move || sensor.run())?,
         ];
+        if let Some((heard, answers)) = calls {
+            let shared = Arc::clone(&self.shared);
+            let serve = move || discovery::serve(&shared, &heard, &answers);
+            self.threads.push(std::thread::Builder::new().name(name("discovery")).spawn(serve)?);
+        }
         self.orders = Some(orders);
         Ok(())
     }

@@ -30,6 +30,8 @@ pub struct TwinConfig {
     pub kept_blocks: usize,
     /// Seed of packet loss and frame faults.
     pub seed: u64,
+    /// It answers broadcast discovery too; without, it is opened by its address.
+    pub discoverable: bool,
 }
 
 /// What the control thread tells the sensor thread.
@@ -88,6 +90,7 @@ impl TwinConfig {
             pace: Some((16, Duration::from_micros(60))),
             kept_blocks: 16,
             seed: 1,
+            discoverable: false,
         }
     }
 }

@@ -50,6 +50,37 @@ pub struct LampFile {
     pub walk_per_sqrt_hour: f64,
     /// Relative standard deviation from exposure to exposure.
     pub flicker: f64,
+    /// Struck when the bench is opened (true), or long before.
+    #[serde(default)]
+    pub cold_start: bool,
+    /// Time constant of the warm-up after ignition.
+    #[serde(default = "warm_up_time_constant_s")]
+    pub warm_up_time_constant_s: f64,
+    /// Output at ignition, relative to the steady one.
+    #[serde(default = "cold_output")]
+    pub cold_output: f64,
+    /// Cooling that the arc needs before it can be struck again.
+    #[serde(default = "restrike_s")]
+    pub restrike_s: f64,
+    /// Power that the steady lamp puts on the light monitor's photodiode.
+    #[serde(default = "monitor_power_w")]
+    pub monitor_power_w: f64,
+}
+
+fn warm_up_time_constant_s() -> f64 {
+    60.0
+}
+
+fn cold_output() -> f64 {
+    0.3
+}
+
+fn restrike_s() -> f64 {
+    600.0
+}
+
+fn monitor_power_w() -> f64 {
+    1.0e-3
 }
 
 /// Filter wheel.
@@ -275,6 +306,10 @@ impl BenchFile {
         within(path, "lamp.beam_half_angle_deg", self.lamp.beam_half_angle_deg, 0.05, 2.0)?;
         within(path, "lamp.irradiance_uw_per_cm2", self.lamp.irradiance_uw_per_cm2, 1e-6, 1e9)?;
         within(path, "lamp.drift_period_h", self.lamp.drift_period_h, 0.1, 1000.0)?;
+        within(path, "lamp.warm_up_time_constant_s", self.lamp.warm_up_time_constant_s, 0.1, 3600.0)?;
+        within(path, "lamp.cold_output", self.lamp.cold_output, 0.0, 1.0)?;
+        within(path, "lamp.restrike_s", self.lamp.restrike_s, 0.0, 7200.0)?;
+        within(path, "lamp.monitor_power_w", self.lamp.monitor_power_w, 1e-9, 1.0)?;
         within(path, "holder.sample_radius_mm", self.holder.sample_radius_mm, 1.0, 1000.0)?;
         if self.wheel.slot.is_empty() {
             return Err(SimError::format(path, "wheel.slot has no place; name at least one"));

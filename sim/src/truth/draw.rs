@@ -98,7 +98,12 @@ impl LampDraw {
 
     /// Factor of one exposure: slow part at its middle times flicker of this frame.
     pub fn exposure(&self, seconds: f64, camera: &str, frame: u64) -> f64 {
-        self.slow(seconds) * (1.0 + self.flicker * self.key.named(camera).named("flicker").normal(frame))
+        self.slow(seconds) * (1.0 + self.flicker * self.deviate(camera, frame))
+    }
+
+    /// Standard normal number of one exposure.
+    pub fn deviate(&self, camera: &str, frame: u64) -> f64 {
+        self.key.named(camera).named("flicker").normal(frame)
     }
 }
 

@@ -4,6 +4,7 @@
 //! - [`vector`]: small vectors and the frames of camera and sample
 //! - [`spectrum`]: curves on the bench's 5 nm grid, glass stacks
 //! - [`config`]: `bench.toml`; [`draw`]: how the bench as built differs from it
+//! - [`lamp`]: the lamp over time, with what happens to it
 //! - [`mirror`]: pixel to direction through fisheye and hemi-ellipsoid, by tracing rays
 //! - [`law`], [`klems`], [`tree`], [`block`]: angular laws of samples; [`sample`]: their files
 //! - [`response`], [`rng`]: exposure to level, noise
@@ -18,6 +19,7 @@ pub mod draw;
 pub mod error;
 pub mod expect;
 pub mod klems;
+pub mod lamp;
 pub mod law;
 pub mod mirror;
 pub mod photo;

@@ -2,15 +2,17 @@
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 mod holder;
+mod light_monitor;
+mod monochromator;
 mod noise;
 mod shutter;
 mod wheel;
 
 use goniod_drivers::clock::Clock;
-use goniod_drivers::contract::{FilterWheel, RotaryAxis, Shutter};
-use goniod_drivers::devices::{AxisConfig, ShutterConfig, WheelConfig};
+use goniod_drivers::contract::{FilterWheel, LightMonitor, Monochromator, RotaryAxis, Shutter};
+use goniod_drivers::devices::{AxisConfig, LightMonitorConfig, MonochromatorConfig, ShutterConfig, WheelConfig};
 use goniod_drivers::table;
-use goniod_drivers::units::{Degrees, DegreesPerSecond, Slot};
+use goniod_drivers::units::{Degrees, DegreesPerSecond, Nanometres, Slot};
 use goniod_sim::twins::{Twins, TwinsSpec};
 use std::time::Duration;
 
@@ -20,6 +22,8 @@ struct Bench {
     axes: Vec<Box<dyn RotaryAxis>>,
     wheel: Box<dyn FilterWheel>,
     shutter: Box<dyn Shutter>,
+    monochromator: Box<dyn Monochromator>,
+    light_monitor: Box<dyn LightMonitor>,
 }
 
 /// Configuration of an axis: 10 degrees a second, 20 degrees a second squared.
@@ -54,7 +58,23 @@ fn bench_of(spec: TwinsSpec) -> Bench {
         settle: Duration::from_millis(100),
     };
     let shutter = ShutterConfig { name: "shutter".into(), settle: Duration::from_millis(50) };
+    let monochromator = MonochromatorConfig {
+        name: "monochromator".into(),
+        serial: "11042".into(),
+        min: Nanometres(300.0),
+        max: Nanometres(1100.0),
+        tolerance: Nanometres(0.2),
+        settle: Duration::from_millis(100),
+    };
+    let light_monitor = LightMonitorConfig {
+        name: "light_monitor".into(),
+        serial: String::new(),
+        wavelength: Nanometres(550.0),
+        average: 4,
+    };
     Bench {
+        monochromator: table::monochromator("spectral-cm110", port("sim:monochromator"), monochromator, clock).unwrap(),
+        light_monitor: table::light_monitor("newport-1830c", port("sim:light-monitor"), light_monitor, clock).unwrap(),
         axes: table::holder("zaber-ascii", port("sim:holder"), axes, clock).unwrap(),
         wheel: table::filter_wheel("thorlabs-fw212c", port("sim:filter-wheel"), wheel, clock).unwrap(),
         shutter: table::shutter("thorlabs-sc10", port("sim:shutter"), shutter, clock).unwrap(),

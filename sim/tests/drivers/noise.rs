@@ -2,9 +2,11 @@
 
 use super::bench;
 use goniod_drivers::contract::ShutterState::{Closed, Open};
-use goniod_drivers::units::{Degrees, Slot};
+use goniod_drivers::units::{Degrees, Nanometres, Slot};
 use goniod_sim::firmware::WireFault;
+use goniod_sim::firmware::cm110::MonochromatorFault;
 use goniod_sim::firmware::fw212c::WheelFault;
+use goniod_sim::firmware::newport_1830c::MonitorFault;
 use goniod_sim::firmware::sc10::ShutterFault;
 use goniod_sim::firmware::zaber::ZaberFault;
 use goniod_sim::pose::PoseSource;
@@ -78,6 +80,47 @@ proptest! {
                 if bench.shutter.set(state).await.is_ok() {
                     assert_eq!(bench.twins.pose(Instant::now()).shutter_open, state == Open);
                 }
+            }
+        });
+    }
+
+    /// No checksum and bare bytes: agreement of two answers and the final question must do.
+    #[test]
+    fn a_monochromator_never_reports_a_wavelength_where_it_is_not(faults in proptest::collection::vec(wire_fault(), 50)) {
+        paused().block_on(async {
+            let mut bench = bench();
+            bench.monochromator.open().await.unwrap();
+            faults.into_iter().for_each(|f| bench.twins.inject(Fault::Monochromator(MonochromatorFault::Wire(f))));
+            for n in 0..8 {
+                let target = [450.0, 616.8, 500.0, 950.0][n % 4];
+                let said = bench.monochromator.tune(Nanometres(target)).await;
+                let truth = bench.twins.monochromator.peek(|twin| twin.wavelength_nm(Instant::now()));
+                if let Ok(said) = said {
+                    assert!((said.0 - truth).abs() < 0.051 && (truth - target).abs() < 0.21, "{said} {truth} {target}");
+                }
+                tokio::time::sleep(Duration::from_secs(60)).await;
+            }
+            assert_eq!(bench.twins.monochromator.peek(|twin| twin.destructive), 0);
+        });
+    }
+
+    /// One disturbed reply in six at most: the median of three is then never a corrupted one.
+    #[test]
+    fn a_light_monitor_never_reports_light_that_is_not_there(faults in proptest::collection::vec(wire_fault(), 20)) {
+        paused().block_on(async {
+            let mut bench = bench();
+            bench.light_monitor.open().await.unwrap();
+            for fault in faults {
+                bench.twins.inject(Fault::LightMonitor(MonitorFault::Wire(fault)));
+                (0..5).for_each(|_| bench.twins.inject(Fault::LightMonitor(MonitorFault::Wire(WireFault::Pass))));
+            }
+            for _ in 0..12 {
+                if let Ok(reading) = bench.light_monitor.read().await {
+                    assert!((reading.power_w / 1e-3 - 1.0).abs() < 0.002, "{reading:?}");
+                    assert_eq!(reading.wavelength, Nanometres(550.0));
+                    assert!(!reading.saturated);
+                }
+                tokio::time::sleep(Duration::from_secs(5)).await;
             }
         });
     }

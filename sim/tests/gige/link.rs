@@ -1,4 +1,4 @@
-//! Opening, features, formats, access rules, health, and another program's view of the twin.
+//! Opening, features, formats, access rules, health.
 
 use crate::bench::{alone, open, options, read, sensor, settings, snap, twin};
 use goniod_drivers::clock::Clock;
@@ -7,7 +7,6 @@ use goniod_drivers::devices::aravis::{AravisCamera, Cooler, Trigger, WireFormat}
 use goniod_drivers::error::ErrorKind;
 use goniod_drivers::units::ExposureTime;
 use goniod_sim::gige::{PixelCode, Reading, address};
-use std::process::Command;
 use std::time::Duration;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -143,49 +142,4 @@ async fn giving_up_waiting_loses_no_frame_and_triggers_no_second_one() {
     assert_eq!(twin.traffic().blocks, 2);
     let gap = second.info.exposure_start - first.info.exposure_start;
     assert!(gap >= Duration::from_millis(150), "exposures follow one another on the host's clock: {gap:?}");
-}
-
-/// The library's own command line tool sees a camera like any other.
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn arv_tool_reads_and_writes_the_twin() {
-    let _alone = alone().await;
-    let twin = twin(|_| {});
-    let tool = |arguments: &[&str]| {
-        let output = Command::new("arv-tool-0.8")
-            .args(["-a", &twin.address()])
-            .args(arguments)
-            .output()
-            .expect("arv-tool-0.8 runs (package aravis-tools-cli)");
-        String::from_utf8_lossy(&output.stdout).into_owned()
-    };
-    let text = tool(&["control", "ExposureTime=12345", "ExposureTime", "DeviceSerialNumber", "PixelFormat=Mono16"]);
-    assert!(text.contains("12345") && text.contains("SU320-0042"), "{text}");
-    assert_eq!(twin.exposure_us(), 12_345.0);
-    let features = tool(&["features"]);
-    assert!(features.contains("TriggerSoftware") && features.contains("DeviceTemperature"), "{features}");
-}
-
-/// A GenICam client that shares no code with the library sees the same camera. It is one of the third-party readers of
-/// `.venv` (package viva-genicam); without it the test says so.
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_client_of_another_house_drives_the_twin() {
-    let _alone = alone().await;
-    let program = concat!(env!("CARGO_MANIFEST_DIR"), "/../.venv/bin/viva-camctl");
-    if !std::path::Path::new(program).exists() {
-        println!("SKIPPED: no viva-camctl in .venv");
-        return;
-    }
-    let twin = twin(|_| {});
-    let tool = |arguments: &[&str]| {
-        let (command, rest) = arguments.split_first().unwrap();
-        let output = Command::new(program).args([command, "--ip", &twin.address()]).args(rest).output().unwrap();
-        (output.status.success(), String::from_utf8_lossy(&output.stdout).into_owned())
-    };
-    assert!(tool(&["set", "--name", "ExposureTime", "--value", "12345"]).0);
-    assert_eq!(twin.exposure_us(), 12_345.0);
-    assert!(!tool(&["set", "--name", "ExposureTime", "--value", "1e12"]).0, "the XML tells it the range");
-    let (_, serial) = tool(&["get", "--name", "DeviceSerialNumber"]);
-    assert!(serial.contains("SU320-0042"), "{serial}");
-    assert!(tool(&["bench", "--iface", "127.0.0.1", "--duration-s", "1"]).0);
-    assert!(twin.traffic().blocks >= 10, "it streamed: {:?}", twin.traffic());
 }

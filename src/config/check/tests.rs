@@ -137,6 +137,64 @@ fn the_example_instrument_wants_only_its_own_calibrations() {
     assert!(errors.iter().all(|i| i.key == "camera_serial"), "{error}");
 }
 
+/// A line put under the head of a table, or instead of one, makes one fault at its key.
+#[test]
+fn tables_of_camera_drivers_are_checked() {
+    let bench = || {
+        let bench = Bench::new();
+        bench
+            .instrument("driver = \"sim-ccd\"\nport = \"sim:ccd\"", "driver = \"v4l2\"\nport = \"/dev/video0\"")
+            .instrument("driver = \"sim-ingaas\"\nport = \"sim:ingaas\"", "driver = \"aravis\"\nport = \"127.0.0.9\"")
+            .instrument("[optics]", "[camera.ccd.v4l2]\n[camera.ingaas.aravis]\n[optics]");
+        bench
+    };
+    assert!(bench().check().is_ok(), "real cameras may stand beside a simulated bench");
+    let ccd = |line: &str, key: &str, words: &[&str]| {
+        bench().instrument("[camera.ccd.v4l2]", &format!("[camera.ccd.v4l2]\n{line}")).only(key, words);
+    };
+    ccd("sum_frames = 300", "camera.ccd.v4l2.sum_frames", &["from 1 to 257"]);
+    ccd("longest_frame_s = 10.0", "camera.ccd.longest_s", &["120", "10 s", "raise `sum_frames`"]);
+    ccd("gain = { id = 1, scale = 1 }\nhas_gain = false", "camera.ccd.v4l2.gain", &["`has_gain` is false"]);
+    ccd("exposure = { id = 1, scale = 0 }", "camera.ccd.v4l2.exposure.scale", &["one raw step"]);
+    ccd("controls = [{ id = 1, value = 0.5 }]", "camera.ccd.v4l2.controls[0].value", &["whole numbers"]);
+    ccd("buffers = 1", "camera.ccd.v4l2.buffers", &["from 2 to 32"]);
+    let ingaas = |line: &str, key: &str, words: &[&str]| {
+        bench().instrument("[camera.ingaas.aravis]", &format!("[camera.ingaas.aravis]\n{line}")).only(key, words);
+    };
+    ingaas("packet_size_bytes = 90000", "camera.ingaas.aravis.packet_size_bytes", &["from 576 to 16260"]);
+    ingaas("frame_rate_hz = 30.0", "camera.ingaas.aravis.frame_rate_hz", &["software trigger", "free-run"]);
+    ingaas("trigger = \"free-run\"\nframe_rate_hz = 0", "camera.ingaas.aravis.frame_rate_hz", &["above 0"]);
+    ingaas("heartbeat_s = 0.1", "camera.ingaas.aravis.heartbeat_s", &["from 0.5 to 65"]);
+    ingaas("trigger = \"sofware\"", "camera.ingaas.aravis.trigger", &["did you mean \"software\""]);
+    ingaas("packet_size = 1500", "camera.ingaas.aravis.packet_size", &["packet_size_bytes"]);
+    bench()
+        .instrument("format = \"mono12\"", "format = \"mono14\"")
+        .instrument("[camera.ingaas.aravis]", "[camera.ingaas.aravis]\npacking = \"mono12p\"")
+        .only("camera.ingaas.aravis.packing", &["Mono14", "write \"words\""]);
+}
+
+#[test]
+fn cameras_must_fit_their_driver_and_the_bench() {
+    Bench::new()
+        .instrument("[optics]", "[camera.ccd.aravis]\n[optics]")
+        .only("camera.ccd.aravis", &["the camera's driver is \"sim-ccd\"", "take the table out"]);
+    Bench::new()
+        .instrument("\"sim-ingaas\"", "\"aravis\"")
+        .only("camera.ingaas.port", &["\"sim:ingaas\"", "drives real cameras"]);
+    Bench::new()
+        .instrument("driver = \"sim-ccd\"\nport = \"sim:ccd\"", "driver = \"v4l2\"\nport = \"video0\"")
+        .only("camera.ccd.port", &["needs a device path"]);
+    for format in ["rgb8", "yuyv8"] {
+        Bench::new()
+            .instrument("\"mono12\"", &format!("\"{format}\""))
+            .only("camera.ingaas.format", &["cannot be turned into radiance", "mono or Bayer"]);
+    }
+    let bench = Bench::new();
+    let lacking = bench.options.drivers.iter().filter(|d| *d != "sim-ccd").cloned().collect();
+    let bench = Bench { options: Options { drivers: lacking, ..bench.options.clone() }, ..bench };
+    bench.only("camera.ccd.driver", &["this build lacks", "--features sim"]);
+}
+
 #[test]
 fn exposures_must_be_possible_for_every_camera_used() {
     Bench::new()

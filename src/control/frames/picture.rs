@@ -29,7 +29,7 @@ pub struct Picture {
     pub highest: u16,
     /// Mean level.
     pub mean: f64,
-    /// Number of digital levels of the format.
+    /// Number of digital levels that can occur.
     pub levels: u32,
     /// Levels of some pixels, always the same ones for the same camera.
     pub sample: Vec<u16>,
@@ -50,7 +50,8 @@ impl Picture {
         if pixels.len() != info.width * info.height || first >= pixels.len() {
             return None;
         }
-        let levels = info.format.levels();
+        // The highest level of a sum of n frames is n times that of one.
+        let levels = info.format.levels() + 1 - info.format.exposures();
         let light = (f64::from(levels) * LIGHT) as u16;
         match pixels {
             Pixels::U8(v) => {

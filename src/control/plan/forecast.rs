@@ -246,7 +246,7 @@ impl<'a> Bench<'a> {
         self.forecast.exposing_s += exposure_s;
         self.forecast.overhead_s += waiting_s + camera.readout_s + self.timing.prove_s;
         let pixels = camera.width_px as u64 * camera.height_px as u64;
-        self.forecast.raw_bytes += pixels * bytes_per_pixel(camera.format);
+        self.forecast.raw_bytes += pixels * bytes_per_pixel(camera.stored_format());
     }
 }
 

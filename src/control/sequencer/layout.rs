@@ -36,7 +36,7 @@ pub fn layout(plan: &Plan, cameras: &BTreeMap<String, Camera>) -> Result<RunLayo
             exposures: array.exposures,
             rows: camera.height_px,
             columns: camera.width_px,
-            format: camera.format,
+            format: camera.stored_format(),
         });
     }
     let views: BTreeMap<u32, &View> = plan.views.iter().map(|view| (view.id, view)).collect();

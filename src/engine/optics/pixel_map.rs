@@ -16,6 +16,12 @@ use crate::engine::error::EngineError;
 pub enum Mosaic {
     /// Row 0: R G R G, row 1: G B G B; channels 0 = R, 1 = G, 2 = B.
     BayerRggb,
+    /// Row 0: G R G R, row 1: B G B G.
+    BayerGrbg,
+    /// Row 0: G B G B, row 1: R G R G.
+    BayerGbrg,
+    /// Row 0: B G B G, row 1: G R G R.
+    BayerBggr,
     /// One channel.
     Mono,
 }
@@ -120,17 +126,22 @@ impl Mosaic {
     /// Number of channels.
     pub fn channels(self) -> usize {
         match self {
-            Mosaic::BayerRggb => 3,
             Mosaic::Mono => 1,
+            _ => 3,
         }
     }
 
     /// Channel of a pixel.
     pub fn channel(self, column: usize, row: usize) -> usize {
-        match self {
-            Mosaic::BayerRggb => (column & 1) + (row & 1),
-            Mosaic::Mono => 0,
-        }
+        // Counted from a red pixel: the sum of both parities is the channel.
+        let (column, row) = match self {
+            Mosaic::Mono => return 0,
+            Mosaic::BayerRggb => (column, row),
+            Mosaic::BayerGrbg => (column + 1, row),
+            Mosaic::BayerGbrg => (column, row + 1),
+            Mosaic::BayerBggr => (column + 1, row + 1),
+        };
+        (column & 1) + (row & 1)
     }
 }
 

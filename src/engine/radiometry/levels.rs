@@ -103,7 +103,7 @@ impl Radiometer {
         electrons / (e1 * e1) + bin * bin / 12.0
     }
 
-    fn classify(&self, ndl: f64, floor_x: f64, top_x: f64, quantised: bool) -> Detail {
+    pub(super) fn classify(&self, ndl: f64, floor_x: f64, top_x: f64, quantised: bool) -> Detail {
         let x = self.response.exposure(ndl);
         let var = self.variance(x, ndl, quantised);
         let reach = SAFE_SIGMA * var.sqrt();
@@ -121,7 +121,7 @@ impl Radiometer {
 // === impl Entry ===
 
 impl Entry {
-    fn of(d: &Detail) -> Entry {
+    pub(super) fn of(d: &Detail) -> Entry {
         if d.class == Class::Good {
             let w = 1.0 / d.var;
             Entry { w, wx: w * d.x, wxs: w * d.xs }
@@ -134,7 +134,7 @@ impl Entry {
 // === impl Detail ===
 
 impl Detail {
-    fn clipped(class: Class, x: f64) -> Detail {
+    pub(super) fn clipped(class: Class, x: f64) -> Detail {
         Detail { x, var: f64::INFINITY, xs: 0.0, class }
     }
 }
@@ -178,6 +178,11 @@ impl LevelTable {
     /// Exposure at which the top level begins.
     pub fn top_x(&self) -> f64 {
         self.top_x
+    }
+
+    /// Exposure at which a reading leaves zero.
+    pub(super) fn bottom_x(&self) -> f64 {
+        self.floor_x
     }
 
     fn digital_entry(&self, level: usize) -> Entry {

@@ -75,14 +75,17 @@ fn camera_optics(run: &Run, name: &str, camera: &Camera, calibration: &CameraCal
     Ok(CameraOptics { table, straight: map(false)?, flipped: map(true)? })
 }
 
-/// The mosaic of a format, as far as the engine knows it.
+/// The mosaic of a format.
 fn mosaic(name: &str, format: PixelFormat) -> Result<Mosaic> {
     match (format.mosaic(), format.values_per_pixel()) {
-        (Some(BayerOrder::Rggb), 1) => Ok(Mosaic::BayerRggb),
+        (Some(BayerOrder::Rggb), _) => Ok(Mosaic::BayerRggb),
+        (Some(BayerOrder::Grbg), _) => Ok(Mosaic::BayerGrbg),
+        (Some(BayerOrder::Gbrg), _) => Ok(Mosaic::BayerGbrg),
+        (Some(BayerOrder::Bggr), _) => Ok(Mosaic::BayerBggr),
         (None, 1) => Ok(Mosaic::Mono),
         _ => Err(ProductError::Nothing(format!(
-            "camera `{name}`: frames of format {format:?} cannot be reduced yet; the engine reads one value a pixel, \
-             mono or with the mosaic red-green / green-blue"
+            "camera `{name}`: frames of format {format:?} cannot be reduced; the engine reads one value a pixel, mono or \
+             with a colour mosaic"
         ))),
     }
 }

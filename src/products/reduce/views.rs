@@ -7,6 +7,7 @@ use crate::engine::bsdf::patches::ViewPatches;
 use crate::engine::optics::pixel_map::PixelMap;
 use crate::engine::radiometry::dark::Dark;
 use crate::engine::radiometry::merge::{Exposure, merge};
+use crate::engine::radiometry::sums::SumLevel;
 use crate::products::error::{ProductError, Result, engine};
 use goniod_drivers::frame::Pixels;
 use rayon::prelude::*;
@@ -62,8 +63,16 @@ fn brackets(run: &Run) -> BTreeMap<u32, Vec<&Step>> {
     brackets
 }
 
-/// Integration time as read back and pixels of every stored frame of a view.
-fn frames_of(run: &Run, view: &View, steps: &[&Step]) -> Result<Vec<(f64, Pixels)>> {
+/// A stored frame: its integration time as read back (of one exposure, where it is a sum), exposures in it, pixels.
+struct Stored {
+    t_s: f64,
+    exposures: u16,
+    pixels: Pixels,
+}
+
+/// Every stored frame of a view.
+fn frames_of(run: &Run, view: &View, steps: &[&Step]) -> Result<Vec<Stored>> {
+    let camera = run.document.instrument.camera.get(&view.camera);
     let mut frames = Vec::new();
     for step in steps {
         let Some(row) = run.frames.get(&step.number) else { continue };
@@ -74,12 +83,13 @@ fn frames_of(run: &Run, view: &View, steps: &[&Step]) -> Result<Vec<(f64, Pixels
                 step.number
             )));
         };
-        frames.push((row.exposure_us as f64 / 1e6, pixels));
+        let exposures = camera.map_or(1, |c| c.frames_in(step.exposure.seconds()));
+        frames.push(Stored { t_s: row.exposure_us as f64 / 1e6 / f64::from(exposures), exposures, pixels });
     }
     Ok(frames)
 }
 
-fn merge_view(view: &View, optics: &CameraOptics, dark: &Dark, frames: &[(f64, Pixels)]) -> Result<ViewPatches> {
+fn merge_view(view: &View, optics: &CameraOptics, dark: &Dark, frames: &[Stored]) -> Result<ViewPatches> {
     let map = match &view.subject {
         Subject::Sample { side, .. } if side.flipped() => &optics.flipped,
         _ => &optics.straight,
@@ -91,8 +101,12 @@ fn merge_frames(
     map: &PixelMap,
     optics: &CameraOptics,
     dark: &Dark,
-    frames: &[(f64, Pixels)],
+    frames: &[Stored],
 ) -> std::result::Result<ViewPatches, crate::engine::error::EngineError> {
+    if is_summed(frames) {
+        let levels: Vec<Vec<SumLevel>> = frames.iter().map(Stored::levels).collect();
+        return merge(map, &optics.table, dark, &sums(frames, &levels));
+    }
     let bytes = eights(frames);
     if bytes.is_empty() {
         merge(map, &optics.table, dark, &sixteens(frames))
@@ -101,24 +115,45 @@ fn merge_frames(
     }
 }
 
-fn eights(frames: &[(f64, Pixels)]) -> Vec<Exposure<'_, u8>> {
+fn is_summed(frames: &[Stored]) -> bool {
+    frames.iter().any(|f| f.exposures > 1)
+}
+
+fn eights(frames: &[Stored]) -> Vec<Exposure<'_, u8>> {
     frames
         .iter()
-        .filter_map(|(t_s, p)| match p {
-            Pixels::U8(pixels) => Some(Exposure { t_s: *t_s, pixels: &pixels[..] }),
+        .filter_map(|f| match &f.pixels {
+            Pixels::U8(pixels) => Some(Exposure { t_s: f.t_s, pixels: &pixels[..] }),
             Pixels::U16(_) => None,
         })
         .collect()
 }
 
-fn sixteens(frames: &[(f64, Pixels)]) -> Vec<Exposure<'_, u16>> {
+fn sixteens(frames: &[Stored]) -> Vec<Exposure<'_, u16>> {
     frames
         .iter()
-        .filter_map(|(t_s, p)| match p {
-            Pixels::U16(pixels) => Some(Exposure { t_s: *t_s, pixels: &pixels[..] }),
+        .filter_map(|f| match &f.pixels {
+            Pixels::U16(pixels) => Some(Exposure { t_s: f.t_s, pixels: &pixels[..] }),
             Pixels::U8(_) => None,
         })
         .collect()
+}
+
+fn sums<'a>(frames: &[Stored], levels: &'a [Vec<SumLevel>]) -> Vec<Exposure<'a, SumLevel>> {
+    frames.iter().zip(levels).map(|(f, pixels)| Exposure { t_s: f.t_s, pixels: &pixels[..] }).collect()
+}
+
+// === impl Stored ===
+
+impl Stored {
+    fn levels(&self) -> Vec<SumLevel> {
+        let exposures = self.exposures;
+        let of = |level: u16| SumLevel { level, exposures };
+        match &self.pixels {
+            Pixels::U8(v) => v.iter().map(|b| of(u16::from(*b))).collect(),
+            Pixels::U16(v) => v.iter().map(|w| of(*w)).collect(),
+        }
+    }
 }
 
 /// Dark rate from all dark views of a camera.
@@ -133,7 +168,10 @@ fn dark_of(run: &Run, camera: &str, optics: &CameraOptics, brackets: &BTreeMap<u
         )));
     }
     let bytes = eights(&frames);
-    let dark = if bytes.is_empty() {
+    let dark = if is_summed(&frames) {
+        let levels: Vec<Vec<SumLevel>> = frames.iter().map(Stored::levels).collect();
+        Dark::estimate(&optics.table, &sums(&frames, &levels))
+    } else if bytes.is_empty() {
         Dark::estimate(&optics.table, &sixteens(&frames))
     } else {
         Dark::estimate(&optics.table, &bytes)
