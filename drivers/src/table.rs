@@ -3,8 +3,8 @@
 use crate::clock::Clock;
 use crate::contract::{FilterWheel, LightMonitor, Monochromator, RotaryAxis, Shutter, Spectrometer};
 use crate::devices::{
-    AxisConfig, Fw212c, LightMonitorConfig, MonochromatorConfig, Sc10, ShutterConfig, SpectrometerConfig, WheelConfig,
-    ZaberChain, thorlabs_fw212c, thorlabs_sc10,
+    AxisConfig, Esp301, Fw212c, LightMonitorConfig, MonochromatorConfig, Sc10, ShutterConfig, SpectrometerConfig, WheelConfig,
+    ZaberChain, newport_esp301, thorlabs_fw212c, thorlabs_sc10,
 };
 use crate::error::{DeviceError, ErrorKind, Result};
 use crate::transport::{Connector, UsbConnector};
@@ -61,6 +61,8 @@ pub struct Driver {
 #[rustfmt::skip]
 pub const DRIVERS: &[Driver] = &[
     Driver { name: "zaber-ascii", devices: "Zaber rotary stages, ASCII protocol, firmware 6.14 to 7.x", baud: 115_200, make: Make::Holder(zaber) },
+    Driver { name: "newport-esp301", devices: "rotation stages on a Newport ESP301, USB", baud: newport_esp301::BAUD, make: Make::Holder(esp301) },
+    Driver { name: "newport-esp300", devices: "rotation stages on a Newport ESP300 or ESP301, RS-232", baud: newport_esp301::BAUD_RS232, make: Make::Holder(esp301) },
     Driver { name: "thorlabs-fw212c", devices: "Thorlabs FW212C and FW102C filter wheels", baud: thorlabs_fw212c::BAUD, make: Make::FilterWheel(|c, w, k| Box::new(Fw212c::new(c, w, k))) },
     Driver { name: "thorlabs-sc10", devices: "Thorlabs SC10 shutter controller", baud: thorlabs_sc10::BAUD, make: Make::Shutter(|c, s, k| Box::new(Sc10::new(c, s, k))) },
 ];
@@ -68,6 +70,11 @@ pub const DRIVERS: &[Driver] = &[
 fn zaber(connector: Box<dyn Connector>, axes: Vec<AxisConfig>, clock: Clock) -> Vec<Box<dyn RotaryAxis>> {
     let chain = ZaberChain::new(connector, axes, clock);
     chain.axes().into_iter().map(|axis| Box::new(axis) as Box<dyn RotaryAxis>).collect()
+}
+
+fn esp301(connector: Box<dyn Connector>, axes: Vec<AxisConfig>, clock: Clock) -> Vec<Box<dyn RotaryAxis>> {
+    let controller = Esp301::new(connector, axes, clock);
+    controller.axes().into_iter().map(|axis| Box::new(axis) as Box<dyn RotaryAxis>).collect()
 }
 
 /// The driver called `name`; `Refused` lists the known ones.

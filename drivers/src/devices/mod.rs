@@ -2,6 +2,10 @@
 
 #[cfg(feature = "aravis")]
 pub mod aravis;
+mod esp301_bus;
+pub mod esp301_protocol;
+mod line_wire;
+pub mod newport_esp301;
 mod prompt;
 pub mod thorlabs_fw212c;
 pub mod thorlabs_sc10;
@@ -12,6 +16,8 @@ mod zaber_chain;
 pub mod zaber_protocol;
 pub mod zaber_warning;
 
+pub use esp301_bus::Esp301;
+pub use newport_esp301::Esp301Axis;
 pub use thorlabs_fw212c::{Fw212c, WheelConfig};
 pub use thorlabs_sc10::{Sc10, ShutterConfig};
 pub use zaber_ascii::ZaberAxis;
@@ -44,6 +50,23 @@ pub struct AxisConfig {
     pub tolerance: Degrees,
     /// Wait after the axis stands.
     pub settle: Duration,
+}
+
+// === impl AxisConfig ===
+
+impl AxisConfig {
+    /// Time of a trapezoid over `distance` with the configured speed and acceleration (0 = no ramps).
+    pub(crate) fn travel(&self, distance: Degrees) -> Duration {
+        let (v, a) = (self.speed.0, self.acceleration_deg_per_s2);
+        let seconds = if a <= 0.0 {
+            distance.0 / v
+        } else if distance.0 * a < v * v {
+            2.0 * (distance.0 / a).sqrt()
+        } else {
+            distance.0 / v + v / a
+        };
+        Duration::try_from_secs_f64(seconds).unwrap_or(Duration::from_secs(3))
+    }
 }
 
 /// What the instrument file says about a monochromator.

@@ -3,6 +3,9 @@
 //! A twin gets bytes and an instant, and gives bytes that are due at an instant. It never waits and never reads a clock,
 //! so its truth can be asked for any instant, past or present. Faults are injected as values.
 
+pub mod esp301;
+mod esp301_axis;
+mod esp301_settings;
 pub mod fw212c;
 pub mod motion;
 pub mod outbox;

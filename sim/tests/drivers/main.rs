@@ -1,6 +1,7 @@
 //! Every driver against its firmware twin, over the wire, in paused time.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
+mod esp301;
 mod holder;
 mod noise;
 mod shutter;
