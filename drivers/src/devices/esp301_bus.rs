@@ -77,7 +77,11 @@ impl Shared {
     /// The bus, waited for within a limit.
     pub(super) async fn bus(&self) -> Result<MutexGuard<'_, Bus>> {
         self.clock.timeout(LOCK_LIMIT, self.bus.lock()).await.map_err(|_| {
-            DeviceError::new(ErrorKind::Busy, &self.port, "other axes of the controller have talked for 30 s; try again")
+            DeviceError::new(
+                ErrorKind::Busy,
+                &self.port,
+                "other axes of the controller have talked for 30 s; try again",
+            )
         })
     }
 }
@@ -114,12 +118,12 @@ impl Bus {
 
     /// A finite number of an axis.
     pub(super) async fn number(&mut self, axis: u8, query: Query) -> Result<f64> {
-        self.query(axis, query, |line| line.parse::<f64>().ok().filter(|v| v.is_finite())).await
+        self.query(axis, query, |line| line.trim().parse::<f64>().ok().filter(|v| v.is_finite())).await
     }
 
     /// A question that 0 or 1 answers.
     pub(super) async fn flag(&mut self, axis: u8, query: Query) -> Result<bool> {
-        let read = |line: &str| match line {
+        let read = |line: &str| match line.trim() {
             "0" => Some(false),
             "1" => Some(true),
             _ => None,

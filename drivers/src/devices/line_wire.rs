@@ -82,6 +82,12 @@ impl LineWire {
         self.noop = Some(noop);
     }
 
+    /// The no-op is not understood at present (a restart left its mode): a quiet line is enough.
+    pub(super) fn forget(&mut self) {
+        self.noop = None;
+        self.suspect = true;
+    }
+
     /// The last answer was none of its request: synchronise before the next one.
     pub(super) fn distrust(&mut self) {
         self.suspect = true;
@@ -110,9 +116,10 @@ impl LineWire {
         }
         let request = self.noop.as_ref().map_or("", |n| n.request.as_str());
         Err(match last {
-            Some(line) => {
-                self.error(ErrorKind::Garbled, format!("`{request}` gives {line:?}, not what it gave before; open it again"))
-            }
+            Some(line) => self.error(
+                ErrorKind::Garbled,
+                format!("`{request}` gives {line:?}, not what it gave before; open it again"),
+            ),
             None => self.error(
                 ErrorKind::Timeout,
                 format!("no answer to `{request}` in {SYNC_TRIES} tries; check power, cable and baud rate"),
@@ -163,7 +170,10 @@ impl LineWire {
                 },
                 Ok(None) => self.error(
                     ErrorKind::Timeout,
-                    format!("no answer to `{request}` within {} s; check power and cable", self.dialect.limit.as_secs_f64()),
+                    format!(
+                        "no answer to `{request}` within {} s; check power and cable",
+                        self.dialect.limit.as_secs_f64()
+                    ),
                 ),
                 Err(error) if matches!(error.kind, ErrorKind::Timeout | ErrorKind::Garbled) => error,
                 Err(error) => return Err(error),
@@ -203,8 +213,8 @@ impl LineWire {
             link.send(format!("{request}{request_end}").as_bytes()).await?;
             while let Some(line) = link.until(reply_end, deadline).await? {
                 let text = String::from_utf8_lossy(&line).into_owned();
-                let text = text.trim_matches(|c| matches!(c, '\r' | '\n' | ' ' | '\0'));
-                if !text.is_empty() {
+                let text = text.trim_matches(|c| matches!(c, '\r' | '\n' | '\0'));
+                if !text.trim().is_empty() {
                     return Ok(Some(text.to_owned()));
                 }
             }

@@ -4,11 +4,17 @@
 pub mod aravis;
 mod esp301_bus;
 pub mod esp301_protocol;
+pub mod lcus_relay;
 mod line_wire;
 pub mod newport_esp301;
+pub mod newport_smc100;
+mod open_loop;
+pub mod optec_ifw;
 mod prompt;
+pub mod smc100_protocol;
 pub mod thorlabs_fw212c;
 pub mod thorlabs_sc10;
+pub mod uniblitz_vcm_d1;
 #[cfg(feature = "v4l2")]
 pub mod v4l2;
 pub mod zaber_ascii;
@@ -18,6 +24,8 @@ pub mod zaber_warning;
 
 pub use esp301_bus::Esp301;
 pub use newport_esp301::Esp301Axis;
+pub use newport_smc100::{Smc100, Smc100Axis};
+pub use optec_ifw::OptecIfw;
 pub use thorlabs_fw212c::{Fw212c, WheelConfig};
 pub use thorlabs_sc10::{Sc10, ShutterConfig};
 pub use zaber_ascii::ZaberAxis;

@@ -158,19 +158,27 @@ impl Esp301Axis {
         if same(applied) {
             return Ok(());
         }
-        let what = format!("`{}` is {applied} after `{order}`; lower speed or acceleration in the instrument file", query.words());
+        let what = format!(
+            "`{}` is {applied} after `{order}`; lower speed or acceleration in the instrument file",
+            query.words()
+        );
         Err(self.error(ErrorKind::Refused, what))
     }
 
     async fn read_limits(&mut self) -> Result<DeviceLimits> {
         let units = self.number(Query::Units).await?;
         if units != f64::from(DEGREES) {
-            let what = format!("the axis counts in units {units}, degrees ({DEGREES}) are needed; set them with the vendor's program");
+            let what = format!(
+                "the axis counts in units {units}, degrees ({DEGREES}) are needed; set them with the vendor's program"
+            );
             return Err(self.error(ErrorKind::WrongDevice, what));
         }
         let fastest = self.number(Query::VelocityMax).await?;
         if self.config.speed.0 > fastest {
-            let what = format!("{} degrees a second are faster than the stage's {fastest}; lower `speed_deg_per_s`", self.config.speed.0);
+            let what = format!(
+                "{} degrees a second are faster than the stage's {fastest}; lower `speed_deg_per_s`",
+                self.config.speed.0
+            );
             return Err(self.error(ErrorKind::Refused, what));
         }
         let (v, a) = (self.config.speed.0, self.config.acceleration_deg_per_s2);
@@ -195,8 +203,10 @@ impl Esp301Axis {
             }
             if self.shared.clock.now() > deadline {
                 self.order(Order::Stop).await?;
-                let what =
-                    format!("still moving after {:.1} s, stopped; check that nothing blocks the stage", limit.as_secs_f64());
+                let what = format!(
+                    "still moving after {:.1} s, stopped; check that nothing blocks the stage",
+                    limit.as_secs_f64()
+                );
                 return Err(self.error(ErrorKind::Broken, what));
             }
             self.shared.clock.sleep(poll).await;
@@ -207,7 +217,8 @@ impl Esp301Axis {
     fn check_target(&self, target: Degrees) -> Result<()> {
         let (min, max) = self.limits();
         if !(target.0 >= min.0 && target.0 <= max.0) {
-            let what = format!("{target} is outside the soft limits {min} to {max} of the instrument file; nothing was sent");
+            let what =
+                format!("{target} is outside the soft limits {min} to {max} of the instrument file; nothing was sent");
             return Err(self.error(ErrorKind::Refused, what));
         }
         let device = self.opened()?;
@@ -318,7 +329,8 @@ impl RotaryAxis for Esp301Axis {
         self.shared.clock.sleep(self.config.settle).await;
         let (preset, at) = (self.number(Query::HomePreset).await?, self.number(Query::Position).await?);
         if (at - preset).abs() > self.config.tolerance.0 {
-            let what = format!("after homing the axis stands at {at}° instead of its home position {preset}°; home it again");
+            let what =
+                format!("after homing the axis stands at {at}° instead of its home position {preset}°; home it again");
             return Err(self.error(ErrorKind::Broken, what));
         }
         self.referenced = true;

@@ -167,7 +167,11 @@ impl Esp301Twin {
     }
 
     fn all_off(&mut self, active: bool, code: u16, now: Instant) {
-        if code == 4 { self.stopped = active } else { self.interlock = active }
+        if code == 4 {
+            self.stopped = active
+        } else {
+            self.interlock = active
+        }
         if active {
             self.axes.iter_mut().for_each(|a| a.motor_off(now));
             self.fail(code, now);
@@ -371,9 +375,8 @@ impl Firmware for Esp301Twin {
 
 /// Words that need an axis, besides the settings.
 fn is_axis_word(name: &str) -> bool {
-    let words = [
-        "MO", "MF", "OR", "DH", "PA", "PR", "MV", "MT", "ST", "MD", "TP", "DP", "TV", "DV", "ID", "UF", "QD", "TA",
-    ];
+    let words =
+        ["MO", "MF", "OR", "DH", "PA", "PR", "MV", "MT", "ST", "MD", "TP", "DP", "TV", "DV", "ID", "UF", "QD", "TA"];
     words.contains(&name) || setting(name).is_some()
 }
 
@@ -429,7 +432,8 @@ fn move_axis(axis: &mut EspAxis, name: &str, parameter: &str, now: Instant) -> R
     }
     match name {
         "OR" => {
-            let mode = if parameter.is_empty() { axis.get("OM") as u8 } else { parameter.parse().map_err(|_| 1_u16)? };
+            let mode =
+                if parameter.is_empty() { axis.get("OM") as u8 } else { parameter.parse().map_err(|_| 1_u16)? };
             if mode > 6 {
                 return Err(1);
             }

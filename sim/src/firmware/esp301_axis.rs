@@ -111,7 +111,9 @@ impl EspAxis {
         let mut errors = Vec::new();
         while let Some((at, what)) = self.pending.take_if(|(at, _)| *at <= now) {
             match what {
-                Pending::SwitchPassed if self.home_glitch => self.pending = Some((at + PHASE_REST, Pending::SwitchBack)),
+                Pending::SwitchPassed if self.home_glitch => {
+                    self.pending = Some((at + PHASE_REST, Pending::SwitchBack))
+                }
                 Pending::SwitchPassed | Pending::SwitchBack => self.second_phase(at),
                 Pending::HomeFound => {
                     self.offset = self.track.position(at) - self.get("SH");

@@ -7,10 +7,14 @@ pub mod esp301;
 mod esp301_axis;
 mod esp301_settings;
 pub mod fw212c;
+pub mod ifw;
 pub mod motion;
+pub mod open_shutter;
 pub mod outbox;
 pub mod prompt;
 pub mod sc10;
+pub mod smc100;
+mod smc100_box;
 pub mod zaber;
 mod zaber_axis;
 

@@ -3,8 +3,11 @@
 
 mod esp301;
 mod holder;
+mod ifw;
 mod noise;
+mod open_shutter;
 mod shutter;
+mod smc100;
 mod wheel;
 
 use goniod_drivers::clock::Clock;
