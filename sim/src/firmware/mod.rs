@@ -8,6 +8,7 @@ mod esp301_axis;
 mod esp301_settings;
 pub mod fw212c;
 pub mod ifw;
+pub mod models;
 pub mod motion;
 pub mod open_shutter;
 pub mod outbox;
