@@ -43,7 +43,10 @@ fn open(checked: &Checked, rehearsal: &Rehearsal, clock: Clock, own_cameras: boo
     let seed = rehearsal.seed.unwrap_or(simulation.seed);
     let holder = &instrument.holder;
     let changer = holder.changer.as_ref().map_or("50003", |c| c.axis.serial.as_str());
-    let twins = Twins::new(TwinsSpec::with_serials(&holder.tilt.serial, &holder.spin.serial, changer));
+    let drivers = [&holder.driver, &instrument.filter_wheel.driver, &instrument.shutter.driver].map(String::as_str);
+    let mut spec = TwinsSpec::with_serials(&holder.tilt.serial, &holder.spin.serial, changer).with_drivers(drivers)?;
+    spec.wheel.places = instrument.filter_wheel.places;
+    let twins = Twins::new(spec);
     let bench = goniod_sim::bench::Bench::open(description, sample, seed, Arc::new(twins.clone()), clock)?;
     let mut cameras: BTreeMap<String, Box<dyn Camera>> = BTreeMap::new();
     let mut faults = Faults { twins: twins.clone(), cameras: BTreeMap::new() };
