@@ -1,9 +1,9 @@
 //! Broadcast discovery: a twin that is to be found without its address listens where clients call all cameras at once.
 
+use super::PORT;
 use super::address as a;
 use super::gvcp::{self, Request};
 use super::shared::Shared;
-use super::PORT;
 use rustix::net::{AddressFamily, SocketType, bind, socket, sockopt};
 use std::io;
 use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};

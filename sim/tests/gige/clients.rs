@@ -41,7 +41,8 @@ async fn arv_tool_finds_reads_and_writes_the_twin() {
     let Some(found) = tool(&[]) else { return };
     assert!(found.contains("SU320-0042") && found.contains(&twin.address()), "broadcast discovery: {found}");
     let address = twin.address();
-    let control = ["-a", &address, "control", "ExposureTime=12345", "ExposureTime", "Gain=3", "Gain", "DeviceSerialNumber"];
+    let control =
+        ["-a", &address, "control", "ExposureTime=12345", "ExposureTime", "Gain=3", "Gain", "DeviceSerialNumber"];
     let text = tool(&control).unwrap();
     assert!(text.contains("12345") && text.contains("SU320-0042"), "{text}");
     assert_eq!((twin.exposure_us(), twin.gain_db()), (12_345.0, 3.0));
