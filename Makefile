@@ -28,7 +28,7 @@ validate: setup
 bench: setup
 	cargo bench --profile dev $(FEATURES)
 
-## Both camera drivers against their twins with the full counts (docs/cameras.md), about half an hour.
+## Both camera drivers against their twins with the full counts (docs/cameras.md), about 20 minutes of a quiet machine.
 soak-cameras: setup setup-python
 	GONIOD_FULL=1 cargo test -p goniod-drivers $(FEATURES) --test v4l2 -- --nocapture
 	GONIOD_FULL=1 cargo test -p goniod-sim $(FEATURES) --test gige -- --nocapture

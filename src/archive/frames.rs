@@ -145,6 +145,9 @@ impl CameraArray {
         if let Ok(format) = serde_json::to_value(layout.format) {
             builder.attributes_mut().insert("pixel_format".to_owned(), format);
         }
+        if let Some(caution) = layout.format.caution() {
+            builder.attributes_mut().insert("caution".to_owned(), caution.into());
+        }
         let zarr = builder.build(Arc::new(()), &format!("/{}", layout.camera)).map_err(|e| no_place(e.to_string()))?;
         Ok(CameraArray { layout: layout.clone(), zarr, chunk })
     }

@@ -70,7 +70,7 @@ fn ports(i: &Instrument, report: &mut Report<'_>) {
     if let (Some((first, ..)), Some((device, _, port))) = (bench, real) {
         let key = format!("{device}.port");
         let message = format!(
-            "`{key}` is \"{port}\", but the port of {first} starts with `sim:`; what moves is all hardware or all simulated: make every such port `sim:…` or none"
+            "`{key}` is \"{port}\", but the port of {first} starts with `sim:`; what moves is all hardware or all simulated: make every port of holder, filter wheel and shutter `sim:…` or none"
         );
         report.error(&key, message);
     }

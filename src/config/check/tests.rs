@@ -185,9 +185,11 @@ fn cameras_must_fit_their_driver_and_the_bench() {
         .instrument("driver = \"sim-ccd\"\nport = \"sim:ccd\"", "driver = \"v4l2\"\nport = \"video0\"")
         .only("camera.ccd.port", &["needs a device path"]);
     for format in ["rgb8", "yuyv8"] {
-        Bench::new()
-            .instrument("\"mono12\"", &format!("\"{format}\""))
-            .only("camera.ingaas.format", &["cannot be turned into radiance", "mono or Bayer"]);
+        let bench = Bench::new();
+        bench.instrument("driver = \"sim-ccd\"\nport = \"sim:ccd\"", "driver = \"v4l2\"\nport = \"/dev/video0\"");
+        let checked = bench.instrument("\"bayer-rggb8\"", &format!("\"{format}\"")).check().unwrap();
+        assert!(checked.warnings.iter().any(|w| w.key == "camera.ccd.format"), "{:?}", checked.warnings);
+        bench.instrument("\"v4l2\"", "\"aravis\"").only("camera.ccd.format", &["driver \"v4l2\" only"]);
     }
     let bench = Bench::new();
     let lacking = bench.options.drivers.iter().filter(|d| *d != "sim-ccd").cloned().collect();

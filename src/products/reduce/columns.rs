@@ -214,13 +214,17 @@ impl Maker<'_> {
             largest_reference_change: self.largest_reference_change(),
             ..Facts::default()
         };
-        for (camera, dark) in &self.views.darks {
+        for (camera, dark) in self.views.darks.iter().flat_map(|(camera, darks)| darks.iter().map(move |d| (camera, d)))
+        {
             facts.darks.push(DarkFacts {
                 camera: camera.clone(),
                 u_rate: dark.u_rate,
                 hot_pixels: dark.hot,
                 unreadable_pixels: dark.unreadable,
             });
+        }
+        for (name, camera) in &self.run.document.instrument.camera {
+            facts.notes.extend(camera.format.caution().map(|caution| format!("camera `{name}`: {caution}")));
         }
         facts
     }
