@@ -89,6 +89,7 @@ pub struct Flight {
     id: u64,
     sequence_moves: bool,
     stamps_usable: bool,
+    start_stamps: bool,
     recent: VecDeque<u64>,
     /// Sums since opening.
     pub counters: Counters,
@@ -131,9 +132,16 @@ impl Flight {
             id: 0,
             sequence_moves: false,
             stamps_usable: true,
+            start_stamps: true,
             recent: VecDeque::new(),
             counters: Counters::default(),
         }
+    }
+
+    /// Stamps flagged as those of the start of exposure are those of its end. `uvcvideo` sets that flag, but stamps
+    /// the moment at which the first bytes of the picture came (Linux 6.1, `uvc_video_decode_start`).
+    pub fn distrust_start_stamps(&mut self) {
+        self.start_stamps = false;
     }
 
     /// The stream (re)starts with `buffers` kernel buffers: sequence numbers may begin anew.
@@ -240,7 +248,7 @@ impl Flight {
             return seen.dequeued.saturating_sub(self.readout + exposure);
         }
         match seen.meta.flags & STAMP_MOMENT {
-            STAMP_START => seen.meta.stamp,
+            STAMP_START if self.start_stamps => seen.meta.stamp,
             _ => seen.meta.stamp.saturating_sub(self.readout + exposure),
         }
     }
@@ -365,6 +373,22 @@ mod tests {
         assert!(flight.place(&short).odd);
         let c = flight.counters;
         assert_eq!((c.lost, c.stale, c.repeated, c.damaged, c.short), (2, 1, 2, 1, 1));
+    }
+
+    #[test]
+    fn a_stamp_that_only_claims_to_be_of_the_start_is_taken_as_of_the_end() {
+        let mut flight = Flight::new(1, MS);
+        flight.distrust_start_stamps();
+        flight.restarted(4);
+        flight.changed(MS, MS * 100);
+        flight.armed(MS * 1000);
+        let start_flagged = |n: u32, at: u32| {
+            let mut s = seen(n, at);
+            s.meta.flags |= STAMP_START;
+            s
+        };
+        assert!(!flight.place(&start_flagged(1, 1050)).deliver, "began at 949");
+        assert!(flight.place(&start_flagged(2, 1150)).deliver);
     }
 
     #[test]

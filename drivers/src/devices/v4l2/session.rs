@@ -90,7 +90,10 @@ impl Session {
             let _in = runtime.enter();
             (sys::monotonic(), clock.now())
         };
-        let flight = Flight::new(config.settle_frames, Duration::from_secs_f64(config.readout_s.max(0.0)));
+        let mut flight = Flight::new(config.settle_frames, Duration::from_secs_f64(config.readout_s.max(0.0)));
+        if identity.firmware.starts_with("uvcvideo ") {
+            flight.distrust_start_stamps();
+        }
         let session = Session {
             clock,
             pool,
