@@ -44,6 +44,8 @@ pub struct Session {
     layout: Layout,
     curve: Option<String>,
     ring: Option<Ring>,
+    /// Frame interval asked for, and what the device made of it.
+    asked_s: Option<f64>,
     interval_s: Option<f64>,
     flight: Flight,
     applied: Option<Applied>,
@@ -101,6 +103,7 @@ impl Session {
             layout,
             curve,
             ring: None,
+            asked_s: None,
             interval_s: None,
             flight,
             applied: None,
@@ -204,12 +207,17 @@ impl Session {
     }
 
     fn interval(&mut self, period_s: f64) -> Result<()> {
+        // Asked again, a bridge that is busy while it streams would restart its stream for nothing.
+        if self.asked_s == Some(period_s) {
+            return Ok(());
+        }
         let fault = Fault(&self.config.name);
         let mut set = controls::set_interval(&self.device, period_s);
         if self.ring.is_some() && set.as_ref().is_err_and(|e| e.raw_os_error() == Some(libc::EBUSY)) {
             self.ring = None;
             set = controls::set_interval(&self.device, period_s);
         }
+        self.asked_s = Some(period_s);
         self.interval_s = Some(set.map_err(|e| fault.io("setting the frame interval", &e))?.unwrap_or(period_s));
         Ok(())
     }
