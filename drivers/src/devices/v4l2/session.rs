@@ -317,6 +317,12 @@ impl Session {
             Ok(taken) => self.judge(taken).map(Ok),
             Err(e) if e.raw_os_error() == Some(libc::EAGAIN) => None,
             Err(e) if e.raw_os_error() == Some(libc::EIO) => self.restart(&e).err().map(Err),
+            // The buffers are ours and were queued: the stream itself has ended, as with a loopback whose source closed.
+            Err(e) if e.raw_os_error() == Some(libc::EINVAL) => {
+                self.stop();
+                let what = format!("the source of the pictures has ended its stream ({e}); start it again");
+                Some(Err(Fault(&self.config.name).of(ErrorKind::Lost, what)))
+            }
             Err(e) => {
                 self.stop();
                 Some(Err(Fault(&self.config.name).io("taking a picture", &e)))

@@ -62,11 +62,24 @@ async fn serve(dir: &Path) -> std::io::Result<()> {
     Ok(())
 }
 
-/// One order to the emulator.
+/// One order to the emulator, given again for a while where it is refused: a device that was pulled out lets go of its
+/// line a moment later.
 async fn monitor(dir: &Path, order: &str) -> std::io::Result<()> {
+    let clock = Clock::system();
+    loop {
+        let heard = say(dir, order).await?;
+        match heard.split("Error: ").nth(1) {
+            Some(_) if clock.elapsed() < Duration::from_secs(20) => clock.sleep(Duration::from_millis(100)).await,
+            Some(error) => return Err(std::io::Error::other(format!("{order}: {error}"))),
+            None => return Ok(()),
+        }
+    }
+}
+
+/// What the emulator answers; its monitor echoes and prompts, and the order is taken when a prompt follows it.
+async fn say(dir: &Path, order: &str) -> std::io::Result<String> {
     let mut stream = UnixStream::connect(dir.join("monitor.sock")).await?;
     stream.write_all(format!("{order}\n").as_bytes()).await?;
-    // The monitor echoes and prompts; the order is taken when a prompt follows it.
     let mut heard = String::new();
     let mut chunk = [0; 256];
     while heard.matches("(qemu)").count() < 2 {
@@ -75,7 +88,7 @@ async fn monitor(dir: &Path, order: &str) -> std::io::Result<()> {
             n => heard.push_str(&String::from_utf8_lossy(&chunk[..n])),
         }
     }
-    Ok(())
+    Ok(heard)
 }
 
 /// The stage's true angle, past its driver.

@@ -11,20 +11,18 @@ use goniod_drivers::error::ErrorKind;
 use goniod_drivers::frame::PixelFormat;
 use goniod_drivers::units::ExposureTime;
 use goniod_sim::scene::{ExposureRequest, Painted, Reading, Scene};
+use std::io::Write;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 use tokio::time::Instant;
-use v4l::buffer::Type;
-use v4l::io::mmap::Stream;
-use v4l::io::traits::OutputStream;
 use v4l::video::Output;
 use v4l::{Format, FourCC};
 
 const NODE: &str = "/dev/video20";
 /// "timeout" of v4l2loopback, in milliseconds.
-const TIMEOUT: u32 = 0x0098_f002;
+const TIMEOUT: u32 = 0x0098_f902;
 const WIDTH: usize = 640;
 const HEIGHT: usize = 480;
 /// Time from frame to frame.
@@ -116,6 +114,7 @@ async fn ends() -> Outcome {
                 ensure!(frame.info.damaged || flat, "an old picture passed as a new one: {reading:?}");
             }
             Err(error) => {
+                ensure!(matches!(error.kind, ErrorKind::Lost | ErrorKind::Timeout), "{:?}: {error}", error.kind);
                 camera.make_safe().await?;
                 return Ok(format!("{:?}: {}", error.kind, error.message));
             }
@@ -158,10 +157,10 @@ impl Producer {
 }
 
 fn produce(stop: &AtomicBool, frames: &AtomicU64) -> std::io::Result<()> {
-    let device = v4l::Device::with_path(NODE)?;
+    let mut device = v4l::Device::with_path(NODE)?;
     Output::set_format(&device, &Format::new(WIDTH as u32, HEIGHT as u32, FourCC::new(b"GREY")))?;
-    let mut stream = Stream::with_buffers(&device, Type::VideoOutput, 4)?;
-    let mut levels = vec![0_u16; WIDTH * HEIGHT];
+    // Written, not mapped: then the module takes its buffers in turn, and a reader has many frames' time for its copy.
+    let (mut levels, mut picture) = (vec![0_u16; WIDTH * HEIGHT], vec![0_u8; WIDTH * HEIGHT]);
     while !stop.load(Ordering::SeqCst) {
         let exposure_ms = match device.control(TIMEOUT)?.value {
             v4l::control::Value::Integer(value) => value,
@@ -177,10 +176,8 @@ fn produce(stop: &AtomicBool, frames: &AtomicU64) -> std::io::Result<()> {
             max_level: 0xff,
         };
         Painted.render(&request, &mut levels);
-        let (buffer, meta) = OutputStream::next(&mut stream)?;
-        buffer.iter_mut().zip(&levels).for_each(|(byte, level)| *byte = *level as u8);
-        meta.bytesused = levels.len() as u32;
-        meta.field = 1;
+        picture.iter_mut().zip(&levels).for_each(|(byte, level)| *byte = *level as u8);
+        device.write_all(&picture)?;
         frames.fetch_add(1, Ordering::SeqCst);
         std::thread::sleep(PERIOD);
     }

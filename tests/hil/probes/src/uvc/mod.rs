@@ -46,7 +46,8 @@ pub fn grey() -> Mode {
     Mode::ALL[2]
 }
 
-/// The configuration that fits the twin in `mode`: gamma and brightness neutral, N = 8 frames until a change is sure.
+/// The configuration that fits the twin in `mode`: gamma and brightness neutral; N = 8 frames until a change is
+/// sure, for latencies up to 5 with a half-changed and a stale frame after them, N = 4 at the large size.
 pub fn config(node: PathBuf, mode: Mode) -> V4l2Config {
     let format = match mode.format {
         UvcFormat::Rggb => PixelFormat::BayerRggb8,
@@ -59,7 +60,7 @@ pub fn config(node: PathBuf, mode: Mode) -> V4l2Config {
         serial: SERIAL.into(),
         format: Some(format),
         fixed: vec![(GAMMA, 100), (BRIGHTNESS, 0)],
-        settle_frames: 8,
+        settle_frames: if mode.format == UvcFormat::Rggb { 4 } else { 8 },
         frame_interval_s: if mode.format == UvcFormat::Rggb { 0.15 } else { 0.04 },
         command_limit: std::time::Duration::from_secs(30),
         ..V4l2Config::new("camera.ccd", node, u32::from(mode.width), u32::from(mode.height))
