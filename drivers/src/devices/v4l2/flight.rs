@@ -139,7 +139,8 @@ impl Flight {
     }
 
     /// Stamps flagged as those of the start of exposure are those of its end. `uvcvideo` sets that flag, but stamps
-    /// the moment at which the first bytes of the picture came (Linux 6.1, `uvc_video_decode_start`).
+    /// the moment at which the first bytes of the picture came (Linux 6.1, `uvc_video_decode_start`). A picture may have
+    /// waited inside the camera until then, so the N frames are counted anew after every arming.
     pub fn distrust_start_stamps(&mut self) {
         self.start_stamps = false;
     }
@@ -181,7 +182,7 @@ impl Flight {
     pub fn armed(&mut self, at: Duration) {
         self.armed_at = Some(at);
         self.delivering = false;
-        if !self.stamps_usable {
+        if !self.stamps_usable || !self.start_stamps {
             self.started_since = 0;
         }
     }
@@ -226,7 +227,8 @@ impl Flight {
         let settled_before = self.started_since >= self.needed();
         let exposure = if settled_before { self.exposure } else { self.slowest.max(self.exposure) };
         let early = self.start_of(seen, exposure);
-        if !odd && self.settings_at.is_some_and(|t| early >= t) {
+        let since = if self.start_stamps { self.settings_at } else { self.settings_at.max(self.armed_at) };
+        if !odd && since.is_some_and(|t| early >= t) {
             self.started_since = self.started_since.saturating_add(1);
         }
         let settled = self.started_since >= self.needed();
@@ -389,6 +391,18 @@ mod tests {
         };
         assert!(!flight.place(&start_flagged(1, 1050)).deliver, "began at 949");
         assert!(flight.place(&start_flagged(2, 1150)).deliver);
+    }
+
+    #[test]
+    fn pictures_that_may_have_waited_inside_the_camera_are_counted_out_after_every_arming() {
+        let mut flight = Flight::new(3, MS);
+        flight.distrust_start_stamps();
+        flight.restarted(4);
+        flight.changed(MS, MS);
+        flight.armed(MS);
+        assert_eq!([20, 40, 60].map(|t| flight.place(&seen(t, t)).deliver), [false, false, true]);
+        flight.armed(MS * 70);
+        assert_eq!([80, 100, 120].map(|t| flight.place(&seen(t, t)).deliver), [false, false, true]);
     }
 
     #[test]
