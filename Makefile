@@ -5,7 +5,7 @@ GONIOD := target/debug/goniod
 FEATURES ?= --all-features
 RUNS ?= runs/demo
 
-.PHONY: demo test check setup setup-python build validate bench soak-cameras clean
+.PHONY: demo test hil check setup setup-python build validate bench soak-cameras clean
 
 ## Measure a simulated sample and show where the products are.
 demo: build
@@ -14,6 +14,10 @@ demo: build
 ## All tests, as CI runs them.
 test: setup setup-python
 	bash tests/run.sh
+
+## The drivers against real kernel interfaces in an emulated machine.
+hil: setup
+	bash tests/hil/run $(SUBJECTS)
 
 ## Formatting and lints.
 check: setup
