@@ -1,6 +1,8 @@
 //! Fronts: what carries a twin's bytes to a driver.
 
 pub mod pipe;
+pub mod pty;
 pub mod usb;
 
 pub use pipe::{PipeConnector, PipePort};
+pub use pty::PtyPort;
