@@ -201,9 +201,10 @@ impl Fw212cTwin {
             ("pos", Ok(place)) if (1..=self.spec.places).contains(&place) => self.go(place, now),
             ("speed", Ok(v @ (0 | 1))) => self.set(now, |w| w.speed = v),
             ("sensors", Ok(v @ (0 | 1))) => self.set(now, |w| w.sensors = v),
+            ("baud", Ok(0 | 1)) => self.port.done(now),
             ("trig", Ok(v @ (0 | 1))) => self.set(now, |w| w.trig = v),
             ("pcount", Ok(v @ (6 | 12))) => self.set(now, |w| w.spec.places = v),
-            ("pos" | "speed" | "sensors" | "trig" | "pcount", _) => self.port.error("CMD_ARG_INVALID", now),
+            ("pos" | "speed" | "sensors" | "trig" | "pcount" | "baud", _) => self.port.error("CMD_ARG_INVALID", now),
             _ => self.port.error("CMD_NOT_DEFINED", now),
         }
     }
@@ -259,6 +260,8 @@ impl Firmware for Fw212cTwin {
                 }
             } else if let Some(line) = self.port.byte(byte, now) {
                 self.request(&line, now);
+            } else if let Some(up) = self.port.arrow() {
+                self.turn(if up { 1.0 } else { -1.0 }, now);
             }
         }
     }

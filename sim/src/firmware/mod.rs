@@ -20,6 +20,7 @@ pub mod smc100;
 mod smc100_box;
 pub mod zaber;
 mod zaber_axis;
+mod zaber_stage;
 
 use tokio::time::Instant;
 

@@ -45,6 +45,17 @@ impl PromptPort {
         None
     }
 
+    /// An arrow key (ESC `[` `A` or `B`) has just come: true for up.
+    pub fn arrow(&mut self) -> Option<bool> {
+        let up = match self.line.last_chunk::<3>()? {
+            b"\x1b[A" => true,
+            b"\x1b[B" => false,
+            _ => return None,
+        };
+        self.line.clear();
+        Some(up)
+    }
+
     /// Value CR and prompt.
     pub fn value(&mut self, value: impl std::fmt::Display, now: Instant) {
         self.outbox.reply(now + self.delay, format!("{value}\r> ").as_bytes());
