@@ -3,6 +3,8 @@
 use super::bench::Opened;
 use super::cli::exit::Exit;
 use super::cli::output::Failure;
+use crate::archive::disk::RealDisk;
+use crate::archive::space::must_fit;
 use crate::archive::{ArchiveError, NewRun, RunDir};
 use crate::config::check::Checked;
 use crate::control::events::EventBus;
@@ -69,6 +71,7 @@ pub fn prepare(
         .map_err(|e| Failure::new(Exit::Failed, format!("the plan cannot be written as TOML: {e}")))?;
     let kept: Vec<(PathBuf, Vec<u8>)> = files.map(|f| (Path::new(INPUTS).join(&f.name), f.bytes.clone())).collect();
     let shape = layout(&plan, &checked.instrument.camera).map_err(|e| Failure::new(Exit::BadInput, e.to_string()))?;
+    must_fit(&RealDisk, runs_dir, plan.forecast.raw_bytes).map_err(storage)?;
     let new = NewRun { run_id: &run_id, plan_toml: &text, files: &kept, layout: &shape };
     let run = RunDir::create(runs_dir, &new).map_err(storage)?;
     Ok(Night { plan, run: Arc::new(run), path: runs_dir.join(run_id) })

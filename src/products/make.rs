@@ -11,15 +11,16 @@ use super::plots::canvas::Picture;
 use super::plots::{hemisphere, overview, spectrum};
 use super::reduce::{Reduction, Run, reduce};
 use super::report::{Figure, ProductFile, report};
-use crate::archive::disk::sha256_hex;
+use crate::archive::seal::seal_products;
 use crate::archive::write_atomic;
 use crate::config::scan::Format;
+use crate::digest::sha256_hex;
 use crate::engine::bsdf::set::{BsdfSet, Column, Quantity};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Folder of the run directory that holds products.
-pub const PRODUCTS: &str = "products";
+pub use crate::archive::seal::PRODUCTS;
+
 const KLEMS: &str = "Klems matrix, Visible and Solar: Radiance, WINDOW, EnergyPlus";
 const HDF5: &str = "everything with its uncertainty, NeXus layout: h5py, silx";
 
@@ -98,7 +99,8 @@ pub fn make(run: &Run, products: &[Product]) -> Result<Made> {
             Product::Report => maker.report()?,
         }
     }
-    let files = maker.written.into_iter().map(|w| w.path).collect();
+    let files: Vec<PathBuf> = maker.written.into_iter().map(|w| w.path).collect();
+    seal_products(run.dir.path(), &files)?;
     Ok(Made { files, headline: headline(&maker.reduction.set) })
 }
 
