@@ -208,6 +208,7 @@ fn devices(
             clock,
         )?,
         cameras,
+        light_monitor: None,
     })
 }
 

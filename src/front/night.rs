@@ -13,10 +13,12 @@ use crate::control::plan::build::build;
 use crate::control::plan::document::{INPUTS, KeptFile, RunDocument};
 use crate::control::plan::forecast::Timing;
 use crate::control::sequencer::layout::layout;
+use crate::control::sequencer::recovery::Policies;
 use crate::control::sequencer::run::{Job, Outcome, run};
 use crate::control::sequencer::state::Ending;
 use crate::control::sequencer::verbs::Verb;
 use goniod_drivers::clock::{Clock, UtcMicros};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use tokio::sync::mpsc;
@@ -29,6 +31,8 @@ pub struct Night {
     pub run: Arc<RunDir>,
     /// Its path.
     pub path: PathBuf,
+    /// Serial numbers that the devices must have, where the run is gone on with.
+    pub serials: BTreeMap<String, String>,
 }
 
 /// The plan of checked files.
@@ -74,7 +78,7 @@ pub fn prepare(
     must_fit(&RealDisk, runs_dir, plan.forecast.raw_bytes).map_err(storage)?;
     let new = NewRun { run_id: &run_id, plan_toml: &text, files: &kept, layout: &shape };
     let run = RunDir::create(runs_dir, &new).map_err(storage)?;
-    Ok(Night { plan, run: Arc::new(run), path: runs_dir.join(run_id) })
+    Ok(Night { plan, run: Arc::new(run), path: runs_dir.join(run_id), serials: BTreeMap::new() })
 }
 
 /// Carries the plan out.
@@ -96,7 +100,9 @@ pub async fn measure(
         reserved_rows: checked.calibrations.iter().map(|(n, c)| (n.clone(), c.geometry.reserved_rows)).collect(),
         safe_state: instrument.safe_state.clone(),
         attempts: Job::ATTEMPTS,
-        retries: Job::RETRIES,
+        recovery: Policies::of(&instrument.recovery),
+        interlocks: instrument.interlocks.clone(),
+        serials: night.serials.clone(),
     };
     run(&job, &mut opened.bench, Arc::clone(&night.run), clock, verbs, events).await.map_err(storage)
 }
@@ -106,8 +112,9 @@ pub fn exit_of(outcome: &Outcome) -> Exit {
     match outcome.ending {
         Ending::Completed if outcome.summary.missing > 0 => Exit::Incomplete,
         Ending::Completed if outcome.is_safe() => Exit::Done,
-        Ending::Stopped | Ending::Aborted => Exit::Stopped,
+        Ending::Stopped | Ending::Aborted | Ending::MadeSafe => Exit::Stopped,
         Ending::DiskFull | Ending::ArchiveFailed => Exit::Storage,
+        Ending::Crashed => Exit::Failed,
         _ => Exit::Device,
     }
 }

@@ -36,6 +36,7 @@ pub(super) fn check(instrument: &Loaded<Instrument>, options: &Options, issues: 
     }
     unique_serials(i, &mut report);
     safe_state(i, &mut report);
+    super::night::check(i, &mut report);
 }
 
 /// Key, driver name and port of each device.

@@ -3,6 +3,7 @@
 mod calibration;
 mod devices;
 mod inputs;
+mod night;
 mod optics;
 mod scan;
 #[cfg(test)]

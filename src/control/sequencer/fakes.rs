@@ -10,7 +10,7 @@ use goniod_drivers::contract::{
 use goniod_drivers::error::{DeviceError, ErrorKind, Result};
 use goniod_drivers::frame::{Frame, FrameInfo, PixelFormat, Pixels};
 use goniod_drivers::units::{Degrees, DegreesPerSecond, ExposureTime, Slot};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -53,6 +53,8 @@ pub struct World {
     pub errors: BTreeMap<String, VecDeque<(ErrorKind, u32)>>,
     pub safe: Vec<String>,
     pub homed: u32,
+    /// Axes without a reference, as after a power cut.
+    pub lost_place: BTreeSet<String>,
 }
 
 pub type Shared = Arc<Mutex<World>>;
@@ -124,11 +126,16 @@ impl RotaryAxis for FakeAxis {
         (DegreesPerSecond(20.0), 40.0)
     }
     async fn home(&mut self) -> Result<()> {
-        self.0.world.lock().unwrap().homed += 1;
+        let mut world = self.0.world.lock().unwrap();
+        world.homed += 1;
+        world.lost_place.remove(&self.0.name);
         Ok(())
     }
     async fn move_to(&mut self, target: Degrees) -> Result<Degrees> {
         self.0.call()?;
+        if self.0.world.lock().unwrap().lost_place.contains(&self.0.name) {
+            return Err(DeviceError::new(ErrorKind::Broken, self.0.name.clone(), "no reference"));
+        }
         self.0.moving();
         tokio::time::sleep(Duration::from_secs(2)).await;
         let mut world = self.0.world.lock().unwrap();
@@ -139,7 +146,9 @@ impl RotaryAxis for FakeAxis {
         Ok(target)
     }
     async fn position(&mut self) -> Result<Option<Degrees>> {
-        Ok(None)
+        let world = self.0.world.lock().unwrap();
+        let at = if self.0.name == "tilt" { world.tilt } else { world.spin };
+        Ok((!world.lost_place.contains(&self.0.name)).then_some(Degrees(at)))
     }
     async fn stop(&mut self) -> Result<()> {
         Ok(())
@@ -310,6 +319,7 @@ impl FakeCamera {
 /// A bench of two cameras, and its truth.
 pub fn bench(clock: Clock) -> (Bench, Shared) {
     let world = Shared::default();
+    world.lock().unwrap().lost_place = ["tilt", "spin"].map(str::to_owned).into();
     let part = |name: &str| Part { name: name.to_owned(), world: Arc::clone(&world) };
     let camera = |name: &str| -> (String, Box<dyn Camera>) {
         let info = CameraInfo {
@@ -330,6 +340,7 @@ pub fn bench(clock: Clock) -> (Bench, Shared) {
         wheel: Box::new(FakeWheel(part("filter_wheel"))),
         shutter: Box::new(FakeShutter(part("shutter"))),
         cameras: [camera("ccd"), camera("ingaas")].into(),
+        light_monitor: None,
     };
     let axis = AxisCare { settle: Duration::from_millis(300), tolerance_deg: 0.05 };
     let (wheel, shutter) = (Duration::from_millis(200), Duration::from_millis(50));

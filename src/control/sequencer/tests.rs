@@ -4,6 +4,7 @@
 
 use super::fakes::{self, DARK_SLOT, HEIGHT, RESERVED, Shared, WIDTH, Wrong};
 use super::state::Ending;
+use super::recovery::Policies;
 use super::verbs::Verb;
 use super::{Job, Outcome, run};
 use crate::archive::disk::{Disk, RealDisk};
@@ -19,6 +20,7 @@ use goniod_drivers::clock::{Clock, UtcMicros};
 use goniod_drivers::error::ErrorKind;
 use goniod_drivers::frame::{PixelFormat, Pixels};
 use goniod_drivers::units::{ExposureTime, Slot};
+use std::collections::BTreeMap;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -149,7 +151,9 @@ async fn carry_out(
         reserved_rows: [("ccd".to_owned(), RESERVED), ("ingaas".to_owned(), RESERVED)].into(),
         safe_state: SafeState { order, limit_s: 10.0 },
         attempts: Job::ATTEMPTS,
-        retries: Job::RETRIES,
+        recovery: Policies::default(),
+        interlocks: None,
+        serials: BTreeMap::new(),
     };
     run(&job, bench, archive, clock, verbs, &EventBus::default()).await.unwrap()
 }
