@@ -7,7 +7,7 @@ use super::progress::{Progress, duration};
 use crate::config::check::Checked;
 use crate::control::events::EventBus;
 use crate::control::sequencer::verbs::listen_to_signals;
-use crate::front::bench::{BenchError, Opened, Rehearsal, is_simulated, open_hardware, open_simulated};
+use crate::front::bench::{BenchError, Opened, open_as_written};
 use crate::front::night::{self, exit_of};
 use crate::products::make::{Made, make_all};
 use goniod_drivers::clock::Clock;
@@ -53,13 +53,7 @@ pub fn run(args: Args, output: &Output) -> Outcome {
     let checked = args.scan.check(output)?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(no_runtime)?;
     let runs = args.runs.unwrap_or_else(|| checked.instrument.runs_dir.clone());
-    let open = |clock| {
-        if is_simulated(&checked.instrument)? {
-            open_simulated(&checked, &Rehearsal::default(), clock)
-        } else {
-            open_hardware(&checked, clock)
-        }
-    };
+    let open = |clock| open_as_written(&checked, clock);
     let work = measure(&checked, &runs, Clock::system, open, output);
     let (ran, exit) = runtime.block_on(work)?;
     finish(ran, exit, !args.no_products, output)
