@@ -3,8 +3,8 @@
 use crate::clock::Clock;
 use crate::contract::{Camera, FilterWheel, LightMonitor, Monochromator, RotaryAxis, Shutter, Spectrometer};
 use crate::devices::{
-    AxisConfig, CameraConfig, Fw212c, LightMonitorConfig, MonochromatorConfig, Sc10, ShutterConfig, SpectrometerConfig, WheelConfig,
-    ZaberChain, thorlabs_fw212c, thorlabs_sc10,
+    AxisConfig, CameraConfig, Fw212c, LightMonitorConfig, MonochromatorConfig, Sc10, ShutterConfig, SpectrometerConfig,
+    WheelConfig, ZaberChain, thorlabs_fw212c, thorlabs_sc10,
 };
 use crate::error::{DeviceError, ErrorKind, Result};
 use crate::transport::{Connector, UsbConnector};
@@ -75,7 +75,8 @@ pub const DRIVERS: &[Driver] = &[
 ];
 
 /// Drivers that not every build has, with the feature that brings them.
-pub const BY_FEATURE: &[(&str, &str)] = &[("v4l2", "v4l2"), ("aravis", "aravis"), ("sim-ccd", "sim"), ("sim-ingaas", "sim")];
+pub const BY_FEATURE: &[(&str, &str)] =
+    &[("v4l2", "v4l2"), ("aravis", "aravis"), ("sim-ccd", "sim"), ("sim-ingaas", "sim")];
 
 fn zaber(connector: Box<dyn Connector>, axes: Vec<AxisConfig>, clock: Clock) -> Vec<Box<dyn RotaryAxis>> {
     let chain = ZaberChain::new(connector, axes, clock);

@@ -11,7 +11,7 @@ pub use simulated::{Faults, open_simulated, open_with_own_cameras};
 
 use crate::config::check::Checked;
 use crate::config::instrument::{Axis, Instrument};
-use crate::control::devices::bench::{Bench, Devices};
+use crate::control::devices::bench::{Bench, Devices, Settle};
 use goniod_drivers::clock::Clock;
 use goniod_drivers::contract::{Camera, RotaryAxis};
 use goniod_drivers::devices::{AxisConfig, ShutterConfig, WheelConfig};
@@ -131,6 +131,18 @@ pub fn open_as_written(checked: &Checked, clock: Clock) -> Result<Opened, BenchE
     } else {
         open_hardware(checked, clock)
     }
+}
+
+/// The bench for the safe state alone: no calibration, no spectra, no sample; nothing is sent yet.
+///
+/// # Errors
+/// [`BenchError`]: a driver that is not in this build or refuses its configuration.
+pub fn open_direct(instrument: &Instrument, clock: Clock) -> Result<Bench, BenchError> {
+    #[cfg(feature = "sim")]
+    if is_simulated(instrument)? {
+        return Ok(Bench::new(simulated::direct(instrument, clock)?, Settle::of(instrument)));
+    }
+    Ok(Bench::new(hardware::direct(instrument, clock)?, Settle::of(instrument)))
 }
 
 /// The simulated bench of a build without one.

@@ -103,7 +103,9 @@ impl PixelCode {
     pub fn encode(self, levels: &[u16], out: &mut Vec<u8>) {
         let top = self.max_level();
         match self {
-            PixelCode::Mono8 | PixelCode::BayerRg8 | PixelCode::BayerGb8 => out.extend(levels.iter().map(|v| (*v).min(top) as u8)),
+            PixelCode::Mono8 | PixelCode::BayerRg8 | PixelCode::BayerGb8 => {
+                out.extend(levels.iter().map(|v| (*v).min(top) as u8))
+            }
             PixelCode::Mono12p | PixelCode::Mono12Packed => {
                 for pair in levels.chunks(2) {
                     let (a, b) = (pair[0].min(top), pair.get(1).copied().unwrap_or(0).min(top));

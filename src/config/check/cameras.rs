@@ -58,7 +58,8 @@ fn unique_serials(i: &Instrument, report: &mut Report<'_>) {
 fn format(name: &str, camera: &Camera, report: &mut Report<'_>) {
     let key = format!("camera.{name}.format");
     if let PixelFormat::Summed { .. } = camera.format {
-        report.error(&key, format!("`{key}` is a sum; write the format of one frame and `sum_frames` in its table v4l2"));
+        report
+            .error(&key, format!("`{key}` is a sum; write the format of one frame and `sum_frames` in its table v4l2"));
     }
     if let Some(caution) = camera.format.caution() {
         report.warn(&key, format!("`{key}`: {caution}; choose a raw format where the camera has one"));
@@ -72,7 +73,10 @@ fn tables(name: &str, camera: &Camera, report: &mut Report<'_>) {
         let key = format!("camera.{name}.{driver}");
         report.error(
             &key,
-            format!("`[{key}]` is there, but the camera's driver is \"{}\"; take the table out or change the driver", camera.driver),
+            format!(
+                "`[{key}]` is there, but the camera's driver is \"{}\"; take the table out or change the driver",
+                camera.driver
+            ),
         );
     }
     match camera.driver.as_str() {
@@ -86,7 +90,10 @@ fn v4l2(name: &str, camera: &Camera, table: &V4l2Table, report: &mut Report<'_>)
     let at = |key: &str| format!("camera.{name}.v4l2.{key}");
     if !camera.port.starts_with('/') {
         let key = format!("camera.{name}.port");
-        let message = format!("`{key}` is \"{}\", but driver \"v4l2\" needs a device path such as \"/dev/v4l/by-id/…\"", camera.port);
+        let message = format!(
+            "`{key}` is \"{}\", but driver \"v4l2\" needs a device path such as \"/dev/v4l/by-id/…\"",
+            camera.port
+        );
         report.error(&key, message);
     }
     for (key, control) in [("exposure", table.exposure), ("gain", table.gain)] {
@@ -111,7 +118,10 @@ fn v4l2(name: &str, camera: &Camera, table: &V4l2Table, report: &mut Report<'_>)
         let key = format!("camera.{name}.longest_s");
         report.error(
             &key,
-            format!("`{key}` is {}, more than {sums} frame(s) of at most {longest} s give; lower it, or raise `sum_frames`", camera.longest_s),
+            format!(
+                "`{key}` is {}, more than {sums} frame(s) of at most {longest} s give; lower it, or raise `sum_frames`",
+                camera.longest_s
+            ),
         );
     }
     if sums > 1 && camera.format.values_per_pixel() > 1 {
@@ -133,11 +143,20 @@ fn aravis(name: &str, camera: &Camera, table: &AravisTable, report: &mut Report<
     let at = |key: &str| format!("camera.{name}.aravis.{key}");
     if camera.format.values_per_pixel() > 1 {
         let key = format!("camera.{name}.format");
-        report.error(&key, format!("`{key}` is {:?}, which driver \"aravis\" does not read; write a mono or Bayer format", camera.format));
+        report.error(
+            &key,
+            format!(
+                "`{key}` is {:?}, which driver \"aravis\" does not read; write a mono or Bayer format",
+                camera.format
+            ),
+        );
     }
     if table.packing.is_some_and(|p| p != Packing::Words) && camera.format != PixelFormat::Mono12 {
         let key = at("packing");
-        report.error(&key, format!("`{key}` packs 12-bit mono pixels, but the format is {:?}; write \"words\"", camera.format));
+        report.error(
+            &key,
+            format!("`{key}` packs 12-bit mono pixels, but the format is {:?}; write \"words\"", camera.format),
+        );
     }
     match (table.trigger, table.frame_rate_hz) {
         (Some(TriggerKind::FreeRun), rate) => {
@@ -145,7 +164,10 @@ fn aravis(name: &str, camera: &Camera, table: &AravisTable, report: &mut Report<
         }
         (_, Some(_)) => {
             let key = at("frame_rate_hz");
-            report.error(&key, format!("`{key}` has no meaning with a software trigger; take it out, or write trigger = \"free-run\""));
+            report.error(
+                &key,
+                format!("`{key}` has no meaning with a software trigger; take it out, or write trigger = \"free-run\""),
+            );
         }
         (_, None) => {}
     }

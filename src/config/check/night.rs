@@ -45,7 +45,8 @@ fn policy(
     let Some(waits) = backoff_s else { return };
     if waits.is_empty() {
         let at = format!("{key}.backoff_s");
-        report.error(&at, format!("`{at}` is empty; write the waits before the attempts in seconds, such as [1.0, 5.0]"));
+        report
+            .error(&at, format!("`{at}` is empty; write the waits before the attempts in seconds, such as [1.0, 5.0]"));
     }
     for (n, wait_s) in waits.iter().enumerate() {
         report.range(&format!("{key}.backoff_s[{n}]"), *wait_s, 0.1, 3600.0);

@@ -135,11 +135,7 @@ async fn one(
     SafeReport { device: name.to_owned(), outcome, message, began_ms, ended_ms }
 }
 
-async fn safe_or_reopened(
-    device: &mut dyn Device,
-    limit: Duration,
-    clock: Clock,
-) -> goniod_drivers::error::Result<()> {
+async fn safe_or_reopened(device: &mut dyn Device, limit: Duration, clock: Clock) -> goniod_drivers::error::Result<()> {
     if within(clock, limit, device.make_safe()).await.is_ok() {
         return Ok(());
     }

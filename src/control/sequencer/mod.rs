@@ -25,5 +25,7 @@ mod watch;
 mod fakes;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod trouble_tests;
 
 pub use run::{Job, Outcome, run};

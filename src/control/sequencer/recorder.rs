@@ -253,9 +253,9 @@ impl Writer {
         loop {
             let (run, job) = (Arc::clone(&self.run), Arc::clone(&work));
             let path = run.path().to_path_buf();
-            let done = tokio::task::spawn_blocking(move || job(&run)).await.unwrap_or_else(|e| {
-                Err(ArchiveError::Io { what: "finish writing", path, message: e.to_string() })
-            });
+            let done = tokio::task::spawn_blocking(move || job(&run))
+                .await
+                .unwrap_or_else(|e| Err(ArchiveError::Io { what: "finish writing", path, message: e.to_string() }));
             let full = done.as_ref().is_err_and(ArchiveError::is_full);
             let wait = full && *self.patient.borrow() && self.standing.borrow().failure.is_none();
             self.standing.send_if_modified(|s| std::mem::replace(&mut s.full, wait) != wait);

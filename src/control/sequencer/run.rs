@@ -1,11 +1,11 @@
 //! The night: checks the bench, takes the exposures of a plan in order, ends safe.
 
 use super::interlocks::Reason;
+use super::memory::Memory;
 use super::recorder::{Recorder, Standing};
 use super::recovery::Policies;
 use super::stage::Stage;
 use super::state::{Ending, Input, State};
-use super::memory::Memory;
 use super::step::{Hands, StepEnd};
 use super::verbs::{Listener, Verb};
 use super::watch::Watch;

@@ -111,15 +111,7 @@ impl State {
             (MakingSafe(why), Input::Safe(true)) => Safe(*why),
             (MakingSafe(why), Input::Safe(false)) => Faulted(*why),
             (
-                Idle
-                | Checking
-                | Running
-                | Pausing
-                | Paused
-                | Suspended(_)
-                | Recovering
-                | MakingSafe(_)
-                | Safe(_)
+                Idle | Checking | Running | Pausing | Paused | Suspended(_) | Recovering | MakingSafe(_) | Safe(_)
                 | Faulted(_),
                 Input::Start
                 | Input::Ready

@@ -222,7 +222,10 @@ mod tests {
                     Answer::Now(input) | Answer::AfterStep(input) => {
                         // A pause under way may still be hastened, a lost device tried again at once.
                         let hastened = matches!(state, State::Pausing | State::Suspended(_));
-                        assert!(hastened || state.next(&input) != state, "{state:?} {verb:?}: carried out without effect");
+                        assert!(
+                            hastened || state.next(&input) != state,
+                            "{state:?} {verb:?}: carried out without effect"
+                        );
                         assert!(!state.is_final());
                     }
                     Answer::Refused(why) => assert!(why.len() > 10, "{state:?} {verb:?}: {why}"),

@@ -3,7 +3,7 @@
 use super::{BenchError, Opened, devices};
 use crate::config::check::Checked;
 use crate::config::instrument::{self, Instrument};
-use crate::control::devices::bench::{Bench, Settle};
+use crate::control::devices::bench::{Bench, Devices, Settle};
 use goniod_drivers::clock::Clock;
 use goniod_drivers::contract::Camera;
 use goniod_drivers::devices::CameraConfig;
@@ -27,6 +27,13 @@ pub fn open_hardware(checked: &Checked, clock: Clock) -> Result<Opened, BenchErr
     })
 }
 
+/// What moves, and every real camera whose driver can be had: for the safe state, one missing must not stop the others.
+pub(super) fn direct(instrument: &Instrument, clock: Clock) -> Result<Devices, BenchError> {
+    let real = instrument.camera.iter().filter(|(_, c)| !c.driver.starts_with("sim-"));
+    let cameras = real.filter_map(|(name, c)| Some((name.clone(), camera(name, c, clock).ok()?))).collect();
+    devices(instrument, clock, |driver, port| connect(driver, port, clock), cameras)
+}
+
 /// The real cameras of an instrument; simulated ones are refused.
 fn cameras(instrument: &Instrument, clock: Clock) -> Result<BTreeMap<String, Box<dyn Camera>>, BenchError> {
     let made = instrument.camera.iter().map(|(name, camera)| match camera.driver.starts_with("sim-") {
@@ -37,11 +44,7 @@ fn cameras(instrument: &Instrument, clock: Clock) -> Result<BTreeMap<String, Box
 }
 
 /// A real camera, made by its driver; nothing is sent.
-pub(super) fn camera(
-    name: &str,
-    camera: &instrument::Camera,
-    clock: Clock,
-) -> Result<Box<dyn Camera>, BenchError> {
+pub(super) fn camera(name: &str, camera: &instrument::Camera, clock: Clock) -> Result<Box<dyn Camera>, BenchError> {
     let config = CameraConfig {
         name: format!("camera.{name}"),
         port: camera.port.clone(),

@@ -2,7 +2,8 @@
 
 use super::{BenchError, Opened, Rehearsal, devices, hardware};
 use crate::config::check::Checked;
-use crate::control::devices::bench::{Bench, Settle};
+use crate::config::instrument::Instrument;
+use crate::control::devices::bench::{Bench, Devices, Settle};
 use goniod_drivers::clock::Clock;
 use goniod_drivers::contract::Camera;
 use goniod_sim::camera::FaultQueue;
@@ -71,4 +72,16 @@ fn open(checked: &Checked, rehearsal: &Rehearsal, clock: Clock, own_cameras: boo
     twin_ports.shutter.port = "sim:shutter".to_owned();
     let devices = devices(&twin_ports, clock, connect, cameras)?;
     Ok(Opened { bench: Bench::new(devices, Settle::of(instrument)), seed: Some(seed), faults: Some(faults) })
+}
+
+/// What moves on a simulated bench of its own: nothing outside this process is reached.
+pub(super) fn direct(instrument: &Instrument, clock: Clock) -> Result<Devices, BenchError> {
+    let holder = &instrument.holder;
+    let changer = holder.changer.as_ref().map_or("50003", |c| c.axis.serial.as_str());
+    let twins = Twins::new(TwinsSpec::with_serials(&holder.tilt.serial, &holder.spin.serial, changer));
+    let connect = |_: &str, port: &str| {
+        let unknown = SimError::Unknown { what: "port", name: port.to_owned(), known: "the ports of the twins".into() };
+        twins.connector(port, clock).ok_or(BenchError::Simulation(unknown))
+    };
+    devices(instrument, clock, connect, BTreeMap::new())
 }

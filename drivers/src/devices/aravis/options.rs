@@ -112,7 +112,8 @@ impl AravisOptions {
         let plain = AravisOptions::new(&camera.name, &camera.port, &camera.serial);
         let packing = table.packing.unwrap_or(Packing::Words);
         let format = WireFormat::of(camera.format, packing).ok_or_else(|| {
-            let message = format!("the driver `aravis` reads no {:?} packed as {packing:?}; change `format`", camera.format);
+            let message =
+                format!("the driver `aravis` reads no {:?} packed as {packing:?}; change `format`", camera.format);
             DeviceError::new(ErrorKind::Refused, &camera.name, message)
         })?;
         let seconds = |s: Option<f64>, plain: Duration| s.map_or(plain, Duration::from_secs_f64);
