@@ -4,6 +4,7 @@
 use crate::config::check::Checked;
 use crate::config::instrument::{Axis, Instrument};
 use crate::control::devices::bench::{Bench, Devices, Settle};
+use crate::control::sequencer::verbs::Verb;
 use goniod_drivers::clock::Clock;
 use goniod_drivers::contract::{Camera, RotaryAxis};
 use goniod_drivers::devices::{AxisConfig, ShutterConfig, WheelConfig};
@@ -12,6 +13,7 @@ use goniod_drivers::table;
 use goniod_drivers::transport::{Connector, SerialConnector};
 use goniod_drivers::units::{Degrees, DegreesPerSecond, Slot};
 use goniod_sim::camera::FaultQueue;
+use goniod_sim::faults::{Targets, carry_out};
 use goniod_sim::truth::error::SimError;
 use goniod_sim::twins::{Twins, TwinsSpec};
 use std::collections::BTreeMap;
@@ -19,6 +21,11 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 use thiserror::Error;
+use tokio::sync::mpsc;
+
+pub use goniod_sim::faults::{Counts, Mix, Schedule};
+pub use goniod_sim::oracle::read_pixels;
+pub use goniod_sim::paint::PaintedTruth;
 
 /// Camera drivers that this build knows, for the checks of instrument files.
 pub const CAMERA_DRIVERS: [&str; 2] = ["sim-ccd", "sim-ingaas"];
@@ -74,6 +81,8 @@ pub struct Rehearsal {
     pub seed: Option<u64>,
     /// Sample file instead of the scan's.
     pub sample: Option<PathBuf>,
+    /// What goes wrong on the way.
+    pub mix: Mix,
 }
 
 /// A bench ready for the sequencer.
@@ -92,6 +101,40 @@ pub struct Faults {
     pub twins: Twins,
     /// Frames of each camera.
     pub cameras: BTreeMap<String, FaultQueue>,
+    /// What is to go wrong during the run.
+    pub mix: Mix,
+}
+
+// === impl Opened ===
+
+impl Opened {
+    /// Begins what is to go wrong during a run forecast to last `span_s` seconds; `None` where nothing is.
+    pub fn begin_faults(&self, span_s: f64, verbs: mpsc::Sender<Verb>, clock: Clock) -> Option<Counts> {
+        let faults = self.faults.as_ref().filter(|f| f.mix != Mix::None)?;
+        Some(faults.begin(self.seed.unwrap_or_default(), Duration::from_secs_f64(span_s.max(0.0)), verbs, clock))
+    }
+}
+
+// === impl Faults ===
+
+impl Faults {
+    /// Lets the faults of the mix happen from now on, drawn from `seed` over a night of `span`; the operator's part goes to
+    /// `verbs`. Gives the counts of what really happened.
+    pub fn begin(&self, seed: u64, span: Duration, verbs: mpsc::Sender<Verb>, clock: Clock) -> Counts {
+        self.carry_out(Schedule::of(self.mix, seed, span), verbs, clock)
+    }
+
+    /// As [`Faults::begin`], with a schedule at hand.
+    pub fn carry_out(&self, schedule: Schedule, verbs: mpsc::Sender<Verb>, clock: Clock) -> Counts {
+        let counts = Counts::default();
+        let pause = move |on| {
+            // A full queue means that the operator is asking for other things already.
+            let _ = verbs.try_send(if on { Verb::Pause } else { Verb::Resume });
+        };
+        let targets = Targets { twins: self.twins.clone(), cameras: self.cameras.clone(), pause: Arc::new(pause) };
+        tokio::spawn(carry_out(schedule, targets, clock, counts.clone()));
+        counts
+    }
 }
 
 /// True when the instrument's ports all belong to the simulated bench.
@@ -148,7 +191,7 @@ pub fn open_simulated(checked: &Checked, rehearsal: &Rehearsal, clock: Clock) ->
     let twins = Twins::new(TwinsSpec::with_serials(&holder.tilt.serial, &holder.spin.serial, changer));
     let bench = goniod_sim::bench::Bench::open(description, sample, seed, Arc::new(twins.clone()), clock)?;
     let mut cameras: BTreeMap<String, Box<dyn Camera>> = BTreeMap::new();
-    let mut faults = Faults { twins: twins.clone(), cameras: BTreeMap::new() };
+    let mut faults = Faults { twins: twins.clone(), cameras: BTreeMap::new(), mix: rehearsal.mix };
     for name in instrument.camera.keys() {
         faults.cameras.insert(name.clone(), bench.faults(name)?);
         cameras.insert(name.clone(), Box::new(bench.camera(name)?));

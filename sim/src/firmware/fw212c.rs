@@ -136,6 +136,12 @@ impl Fw212cTwin {
         }
     }
 
+    /// True while an injected fault waits for its occasion.
+    pub fn faults_wait(&self) -> bool {
+        let flags = [self.prompt_early, self.position_empty, self.lost_edge, self.restart_on_command];
+        self.port.faults_wait() || flags.contains(&true)
+    }
+
     /// Place number of a track position.
     fn place_of(&self, x: f64) -> u8 {
         (x.round() as i64).rem_euclid(i64::from(self.spec.places.max(1))) as u8 + 1

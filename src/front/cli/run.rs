@@ -7,11 +7,13 @@ use super::progress::{Progress, duration};
 use crate::config::check::Checked;
 use crate::control::events::EventBus;
 use crate::control::sequencer::verbs::listen_to_signals;
-use crate::front::bench::{BenchError, Opened, Rehearsal, is_simulated, open_hardware, open_simulated};
+use crate::front::bench::{BenchError, Counts, Opened, Rehearsal, is_simulated, open_hardware, open_simulated};
 use crate::front::night::{self, exit_of};
+use crate::front::oracle::{self, Verdict};
 use crate::products::make::{Made, make_all};
 use goniod_drivers::clock::Clock;
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use tokio::sync::mpsc;
 
@@ -46,6 +48,12 @@ pub struct Ran {
     forecast_s: f64,
     took_s: f64,
     products: Vec<PathBuf>,
+    /// Faults that really happened on a simulated bench, by kind.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    faults: BTreeMap<String, u32>,
+    /// What the oracle says where faults were asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    verdict: Option<Verdict>,
 }
 
 /// Runs the command.
@@ -81,8 +89,9 @@ pub async fn measure(
     let events = EventBus::default();
     let progress = Progress::begin(&night.plan, events.subscribe(), output.json);
     let (sender, verbs) = mpsc::channel(VERBS);
-    listen_to_signals(sender)
+    listen_to_signals(sender.clone())
         .map_err(|e| Failure::new(Exit::Failed, format!("SIGINT and SIGTERM cannot be listened to: {e}")))?;
+    let counts = opened.begin_faults(night.plan.forecast.total_s(), sender, clock);
     let outcome = night::measure(checked, &night, &mut opened, clock, verbs, &events).await;
     progress.end();
     let outcome = outcome?;
@@ -98,6 +107,8 @@ pub async fn measure(
         forecast_s: night.plan.forecast.total_s(),
         took_s: clock.elapsed().as_secs_f64(),
         products: Vec::new(),
+        faults: counts.iter().flat_map(Counts::fired).map(|(kind, n)| (kind.to_string(), n)).collect(),
+        verdict: None,
     };
     Ok((ran, exit_of(&outcome)))
 }
@@ -105,6 +116,11 @@ pub async fn measure(
 /// Makes the products of a run that has frames and says how everything went.
 pub fn finish(mut ran: Ran, exit: Exit, products: bool, output: &Output) -> Outcome {
     let mut made: Option<Made> = None;
+    if !ran.faults.is_empty() {
+        let judged = oracle::judge(&ran.run).map_err(|e| Failure::new(Exit::Storage, e.to_string()))?;
+        ran.verdict = Some(judged);
+    }
+    let exit = if ran.verdict.as_ref().is_some_and(|v| !v.is_clean()) { Exit::Damaged } else { exit };
     if products && ran.stored > 0 && matches!(exit, Exit::Done | Exit::Incomplete) {
         let run = super::input::open_run(&ran.run)?;
         let result = make_all(&run).map_err(|e| Failure::new(Exit::Storage, e.to_string()))?;
@@ -126,6 +142,11 @@ fn text(ran: &Ran, made: Option<&Made>) -> String {
     )];
     lines.push(format!("took {}, forecast {}", duration(ran.took_s), duration(ran.forecast_s)));
     lines.extend(ran.message.clone());
+    if !ran.faults.is_empty() {
+        let kinds: Vec<String> = ran.faults.iter().map(|(kind, n)| format!("{kind} {n}")).collect();
+        lines.push(format!("{} faults: {}", ran.faults.values().sum::<u32>(), kinds.join(", ")));
+    }
+    lines.extend(ran.verdict.iter().flat_map(Verdict::lines));
     if let Some(made) = made {
         lines.push(String::new());
         lines.extend(made.headline.iter().cloned());
