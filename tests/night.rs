@@ -32,7 +32,7 @@ fn probe() {
     let v = judge(&over.path).unwrap();
     eprintln!("{:?} wall {:?}", v.lines(), t.elapsed());
     let span = Duration::from_secs_f64(plan.forecast.total_s());
-    for seed in 0..12 {
+    for seed in 0..44 {
         let kinds = Kind::transient();
         let schedule = Schedule::draw(&kinds, 20, 0.1, seed, span);
         let t = std::time::Instant::now();
@@ -47,9 +47,10 @@ fn probe() {
         );
         eprintln!("  {}", over.counts);
         let v = judge(&over.path).unwrap();
-        for l in v.lines().iter().take(6) {
+        for l in v.lines().iter().take(9) {
             eprintln!("  {l}");
         }
+        if !v.is_clean() { for e in goniod::archive::RunDir::open(&over.path).unwrap().with(|j| j.events()).unwrap() { if ["device-error","step-missing","frame-rejected", "device-opened"].contains(&&*e.kind) && !e.json.contains("lack-unconf") || e.json.contains("\"step\":283") { eprintln!("     {} {}", e.utc_us - 1770000000000000, e.json); } } }
         let run = goniod::archive::RunDir::open(&over.path).unwrap();
         for s in run
             .with(|j| j.steps())
