@@ -11,7 +11,7 @@ mod tiny;
 
 use goniod::archive::verify::verify;
 use goniod::control::sequencer::state::Ending;
-use goniod::front::bench::{Mix, Schedule};
+use goniod::front::bench::Schedule;
 use goniod::front::oracle::{Verdict, judge};
 use goniod_sim::faults::Kind;
 use std::collections::BTreeMap;
@@ -50,7 +50,16 @@ fn probe() {
         for l in v.lines().iter().take(9) {
             eprintln!("  {l}");
         }
-        if !v.is_clean() { for e in goniod::archive::RunDir::open(&over.path).unwrap().with(|j| j.events()).unwrap() { if ["device-error","step-missing","frame-rejected", "device-opened"].contains(&&*e.kind) && !e.json.contains("lack-unconf") || e.json.contains("\"step\":283") { eprintln!("     {} {}", e.utc_us - 1770000000000000, e.json); } } }
+        if !v.is_clean() {
+            for e in goniod::archive::RunDir::open(&over.path).unwrap().with(|j| j.events()).unwrap() {
+                if ["device-error", "step-missing", "frame-rejected", "device-opened"].contains(&&*e.kind)
+                    && !e.json.contains("lack-unconf")
+                    || e.json.contains("\"step\":283")
+                {
+                    eprintln!("     {} {}", e.utc_us - 1770000000000000, e.json);
+                }
+            }
+        }
         let run = goniod::archive::RunDir::open(&over.path).unwrap();
         for s in run
             .with(|j| j.steps())

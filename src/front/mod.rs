@@ -3,4 +3,6 @@
 pub mod bench;
 pub mod cli;
 pub mod night;
+#[cfg(feature = "sim")]
 pub mod oracle;
+pub mod resume;

@@ -10,9 +10,11 @@ use goniod::control::plan::Plan;
 use goniod::control::plan::document::RunDocument;
 use goniod::control::sequencer::layout::layout;
 use goniod::control::sequencer::run::Outcome;
-use goniod::front::bench::{Counts, Mix, Opened, Rehearsal, Schedule, open_simulated};
+use goniod::front::bench::{Opened, Rehearsal, Schedule, open_simulated};
 use goniod::front::night::{self, Night};
 use goniod_drivers::clock::{Clock, UtcMicros};
+use goniod_sim::faults::Counts;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -104,7 +106,7 @@ impl Tiny {
         self.run(seed, &Schedule { entries: Vec::new() }, |_, plan, _| {
             let run = Arc::new(RunDir::resume_on(path, disk).unwrap());
             run.with(|j| j.plan_missing_again()).unwrap();
-            (run.clone(), Night { plan, run, path: path.to_owned() })
+            (run.clone(), night_of(plan, run, path.to_owned()))
         })
     }
 
@@ -114,6 +116,7 @@ impl Tiny {
             run_id: "night".to_owned(),
             goniod_version: "test".to_owned(),
             simulated_seed: Some(seed),
+            virtual_time: true,
             started: night::stamp(clock.utc()).to_string(),
             files: Vec::new(),
             scan: checked.scan.clone(),
@@ -125,7 +128,7 @@ impl Tiny {
         let shape = layout(&plan, &checked.instrument.camera).unwrap();
         let new = NewRun { run_id: "night", plan_toml: &text, files: &[], layout: &shape };
         let run = Arc::new(RunDir::create_on(runs, &new, disk).unwrap());
-        Night { plan, run, path: runs.join("night") }
+        night_of(plan, run, runs.join("night"))
     }
 
     fn run(
@@ -151,9 +154,14 @@ impl Tiny {
     }
 }
 
+fn night_of(plan: Plan, run: Arc<RunDir>, path: PathBuf) -> Night {
+    let lock = night::hold(&path).unwrap_or_else(|e| panic!("{:?}", e.messages));
+    Night { plan, run, path, serials: BTreeMap::new(), lock }
+}
+
 /// No faults.
 pub fn quiet() -> Schedule {
-    Schedule::of(Mix::None, 0, Duration::ZERO)
+    Schedule { entries: Vec::new() }
 }
 
 /// The real disk.

@@ -11,7 +11,6 @@ use crate::firmware::zaber::ZaberFault;
 use crate::truth::rng::Key;
 use crate::twins::{Fault, Twins};
 use goniod_drivers::clock::Clock;
-use goniod_drivers::units::ExposureTime;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -242,9 +241,6 @@ fn camera(kind: CameraKind, draw: Key) -> CameraFault {
         CameraKind::Repeated => CameraFault::Repeated,
         CameraKind::Black => CameraFault::Black,
         CameraKind::Truncated => CameraFault::Truncated,
-        CameraKind::WrongExposure => {
-            CameraFault::WrongExposure(ExposureTime::from_seconds(0.002 * 1000f64.powf(draw.uniform(8))))
-        }
         CameraKind::SkippedId => CameraFault::SkippedId,
         CameraKind::Hang => CameraFault::Hang,
         CameraKind::Lost => CameraFault::Lost,

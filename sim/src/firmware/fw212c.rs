@@ -127,7 +127,8 @@ impl Fw212cTwin {
             WheelFault::PositionEmpty => self.position_empty = true,
             WheelFault::LostEdge => self.lost_edge = true,
             WheelFault::Button(steps) => {
-                self.turn(f64::from(steps), now);
+                // As with any turn, requests wait until it has arrived.
+                self.deaf_until = Some(self.turn(f64::from(steps), now));
             }
             WheelFault::PlaceCount(places) => self.spec.places = places,
             WheelFault::Restart => self.restart(now),

@@ -26,7 +26,7 @@ impl ScanArgs {
     /// Reads and checks everything; warnings are told on the way.
     pub fn check(&self, output: &Output) -> Result<Checked, Failure> {
         let instrument = instrument_path(self.instrument.as_deref())?;
-        let drivers = DRIVERS.iter().map(|d| d.name).chain(CAMERA_DRIVERS).map(str::to_owned).collect();
+        let drivers = DRIVERS.iter().map(|d| d.name).chain(CAMERA_DRIVERS.iter().copied()).map(str::to_owned).collect();
         let options = Options { drivers, today: today() };
         let checked = check(&self.scan, &instrument, &options).map_err(bad_input)?;
         for warning in &checked.warnings {
