@@ -53,7 +53,8 @@ pub struct Verdict {
     pub mislabelled: Vec<String>,
     /// Brackets whose counts fall with exposure.
     pub falling: Vec<String>,
-    /// Frames without light that came for others of their kind: the same picture at every exposure, nothing is wrong.
+    /// Pictures of zeros that came for other pictures of zeros (a dark, or the same scene at another exposure): pixel by
+    /// pixel what should have come, so that nothing is wrong and nothing could be told.
     pub alike: usize,
     /// Pairs of neighbouring exposures compared by their counts.
     pub pairs: usize,
@@ -94,7 +95,8 @@ impl Verdict {
     /// One line for people, and one for each fault.
     pub fn lines(&self) -> Vec<String> {
         let mut lines = vec![format!(
-            "oracle: {} planned = {} stored + {} missing + {} to do; {} lost, {} doubled, {} mislabelled, {} brackets fall",
+            "oracle: {} planned = {} stored + {} missing + {} to do; {} lost, {} doubled, {} mislabelled, {} brackets fall, \
+             {} black for black",
             self.planned,
             self.stored,
             self.missing,
@@ -102,7 +104,8 @@ impl Verdict {
             self.lost.len(),
             self.doubled.len(),
             self.mislabelled.len(),
-            self.falling.len()
+            self.falling.len(),
+            self.alike
         )];
         for list in [&self.lost, &self.doubled, &self.mislabelled, &self.falling] {
             lines.extend(list.iter().cloned());
@@ -182,18 +185,18 @@ impl Files {
             verdict.lost.push(format!("step {number}: the journal has it, the store has not"));
             return;
         };
-        if let Some(other) = seen.insert(row.digest.clone(), number) {
-            verdict.doubled.push(format!("steps {other} and {number}: the same picture"));
-        }
         let (width, levels) = self.shape(view);
         let first = self.reserved_pixels(view);
         let mut found = match read_pixels(&pixels, width, levels) {
             Ok(truth) => differences(&truth, (step, view), row.device_frame_id),
             Err(e) => vec![e.to_string()],
         };
-        if !found.is_empty() && same_pose(&found) && (first..pixels.len()).all(|i| pixels.level(i) == 0) {
+        let harmless = view.subject == Subject::Dark || same_pose(&found);
+        if !found.is_empty() && harmless && (first..pixels.len()).all(|i| pixels.level(i) == 0) {
             verdict.alike += 1;
             found.clear();
+        } else if let Some(other) = seen.insert(row.digest.clone(), number) {
+            verdict.doubled.push(format!("steps {other} and {number}: the same picture"));
         }
         verdict.mislabelled.extend(found.into_iter().map(|what| format!("step {number}: {what}")));
         if view.subject != Subject::Dark {

@@ -15,8 +15,11 @@ use goniod::front::night::{self, Night};
 use goniod_drivers::clock::{Clock, UtcMicros};
 use goniod_sim::faults::Counts;
 use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use tokio::sync::mpsc;
 
@@ -173,4 +176,30 @@ pub fn real() -> Arc<dyn Disk> {
 pub fn memory_folder() -> tempfile::TempDir {
     let shm = Path::new("/dev/shm");
     if shm.is_dir() { tempfile::tempdir_in(shm).unwrap() } else { tempfile::tempdir().unwrap() }
+}
+
+/// A disk that takes its time over each write, and counts them.
+pub struct SlowDisk {
+    pause: Duration,
+    writes: AtomicU64,
+}
+
+// === impl SlowDisk ===
+
+impl SlowDisk {
+    pub fn new(pause: Duration) -> SlowDisk {
+        SlowDisk { pause, writes: AtomicU64::new(0) }
+    }
+
+    pub fn writes(&self) -> u64 {
+        self.writes.load(Ordering::SeqCst)
+    }
+}
+
+impl Disk for SlowDisk {
+    fn append(&self, file: &mut File, _: &Path, bytes: &[u8]) -> io::Result<()> {
+        self.writes.fetch_add(1, Ordering::SeqCst);
+        std::thread::sleep(self.pause);
+        file.write_all(bytes)
+    }
 }

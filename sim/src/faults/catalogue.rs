@@ -214,9 +214,8 @@ impl Kind {
 
     /// True when it passes by itself.
     pub fn is_transient(self) -> bool {
-        // A drive that is off needs its reset, an interlock its key; both are cleared by the driver's own opening only as
-        // far as the device allows it.
-        !matches!(self, Kind::LongUnplugged(_))
+        // An open door is an alarm: the night ends safely, by policy, and is gone on with when somebody has looked.
+        !matches!(self, Kind::LongUnplugged(_) | Kind::Shutter(ShutterKind::Interlock))
     }
 }
 
