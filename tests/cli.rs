@@ -8,7 +8,8 @@ mod common;
 use common::{Lab, root, text};
 use std::fs;
 
-const COMMANDS: [&str; 9] = ["check", "plan", "run", "rehearse", "reduce", "export", "report", "verify", "status"];
+const COMMANDS: [&str; 11] =
+    ["check", "plan", "run", "resume", "rehearse", "reduce", "export", "report", "verify", "status", "safe"];
 
 const SCAN: &str = r#"
 name = "small"

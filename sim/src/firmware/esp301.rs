@@ -132,6 +132,11 @@ impl Esp301Twin {
         self.axes.get(usize::from(axis).checked_sub(1)?).map(|a| a.track.position(at))
     }
 
+    /// True while a fault of the wire waits for its occasion.
+    pub fn faults_wait(&self) -> bool {
+        self.outbox.faults_wait()
+    }
+
     /// Lets a fault happen, now or at the next occasion.
     pub fn inject(&mut self, fault: Esp301Fault, now: Instant) {
         match fault {

@@ -95,6 +95,11 @@ impl IfwTwin {
         (!self.track.moving(at)).then(|| self.place_of(self.track.position(at)))
     }
 
+    /// True while a fault of the wire waits for its occasion.
+    pub fn faults_wait(&self) -> bool {
+        self.outbox.faults_wait()
+    }
+
     /// Lets a fault happen, now or at the next occasion.
     pub fn inject(&mut self, fault: IfwFault, now: Instant) {
         match fault {

@@ -66,6 +66,15 @@ speak_through!(ShutterTwin: Sc10, OpenLoop);
 // === impl HolderTwin ===
 
 impl HolderTwin {
+    /// True while a fault waits for its occasion.
+    pub fn faults_wait(&self) -> bool {
+        match self {
+            HolderTwin::Zaber(twin) => twin.faults_wait(),
+            HolderTwin::Esp301(twin) => twin.faults_wait(),
+            HolderTwin::Smc100(twin) => twin.faults_wait(),
+        }
+    }
+
     /// True angle of the stage with this number (device of a chain, axis of a controller); `None` where there is none.
     pub fn angle_deg(&self, number: u8, at: Instant) -> Option<f64> {
         match self {
@@ -79,6 +88,14 @@ impl HolderTwin {
 // === impl WheelTwin ===
 
 impl WheelTwin {
+    /// True while a fault waits for its occasion.
+    pub fn faults_wait(&self) -> bool {
+        match self {
+            WheelTwin::Fw212c(twin) => twin.faults_wait(),
+            WheelTwin::Ifw(twin) => twin.faults_wait(),
+        }
+    }
+
     /// The place that is really in the beam; `None` while the wheel turns.
     pub fn place(&self, at: Instant) -> Option<u8> {
         match self {
@@ -96,6 +113,14 @@ impl WheelTwin {
 // === impl ShutterTwin ===
 
 impl ShutterTwin {
+    /// True while a fault waits for its occasion.
+    pub fn faults_wait(&self) -> bool {
+        match self {
+            ShutterTwin::Sc10(twin) => twin.faults_wait(),
+            ShutterTwin::OpenLoop(_) => false,
+        }
+    }
+
     /// True when light passes.
     pub fn light_passes(&self, at: Instant) -> bool {
         match self {

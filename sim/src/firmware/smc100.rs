@@ -88,6 +88,11 @@ impl Smc100Twin {
         self.boxes.iter().find(|b| b.address == address).map(|b| b.track.position(at))
     }
 
+    /// True while a fault of the wire waits for its occasion.
+    pub fn faults_wait(&self) -> bool {
+        self.outbox.faults_wait()
+    }
+
     /// Lets a fault happen, now or at the next occasion.
     pub fn inject(&mut self, fault: Smc100Fault, now: Instant) {
         match fault {

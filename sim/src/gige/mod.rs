@@ -23,8 +23,8 @@ pub mod sensor;
 pub mod shared;
 pub mod xml;
 
-pub use bench_scene::BenchScene;
 pub use crate::scene::{ExposureRequest, Painted, Reading, Scene, Tag};
+pub use bench_scene::BenchScene;
 pub use faults::{Faults, FrameFault, Traffic, Truth};
 pub use pixel::PixelCode;
 pub use registers::Sensor;

@@ -28,6 +28,7 @@ pub(super) fn check(instrument: &Loaded<Instrument>, options: &Options, issues: 
     report.range("shutter.settle_s", i.shutter.settle_s, 0.0, 60.0);
     cameras::check(i, &mut report);
     safe_state(i, &mut report);
+    super::night::check(i, &mut report);
 }
 
 /// Key, driver name and port of each device.

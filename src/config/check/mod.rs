@@ -4,6 +4,7 @@ mod calibration;
 mod cameras;
 mod devices;
 mod inputs;
+mod night;
 mod optics;
 mod scan;
 #[cfg(test)]

@@ -2,10 +2,12 @@
 //!
 //! - [`inputs`]: what the run kept becomes the engine's values
 //! - [`optics`]: cameras, lenses and level tables; [`readings`]: spectral kernels of every band and channel
-//! - [`planes`]: frames of several values a pixel; [`views`]: brackets of frames -> patch means; [`columns`]: sample over reference, bands into totals
+//! - [`planes`]: frames of several values a pixel; [`views`]: brackets of frames -> patch means
+//! - [`light`]: the lamp's level through the night; [`columns`]: sample over reference, bands into totals
 
 mod columns;
 mod inputs;
+mod light;
 mod optics;
 mod planes;
 mod readings;
