@@ -8,7 +8,7 @@ make_initramfs() (
     tree=$made/guest
     modules=$kernel/guest-modules
     # Stripped once a kernel and module list.
-    stamp=$(key <"$hil/guest/modules")
+    stamp=$(cat "$hil/guest/modules" "$hil/lib/initramfs.sh" | key)
     if [ ! -f "$modules/$stamp" ]; then
         rm -rf "$modules" && mkdir -p "$modules"
         grep -v '^#' "$hil/guest/modules" | while read -r name parameters; do

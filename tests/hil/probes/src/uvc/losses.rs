@@ -35,8 +35,10 @@ async fn gaps() -> Outcome {
     *bench.twin().faults() = Faults::default();
     // The number of a lost picture goes to the one after it; some whole ones later the count is straight.
     let mut last = bench.camera.next_frame().await?;
-    for _ in 0..8 {
+    let mut whole = 0;
+    while whole < 8 || last.info.damaged {
         last = bench.camera.next_frame().await?;
+        whole += 1;
     }
     let sequence = |frame| match bench.read(frame) {
         Reading::Whole(tag) => bench.truth(tag).map(|t| t.sequence).ok_or("no record of the frame"),
@@ -69,7 +71,7 @@ async fn damaged_frames() -> Outcome {
     let mut bench = Bench::open(grey()).await?;
     acquire(&mut bench.camera, settings(50, 0.0), 1).await?;
     *bench.twin().faults() = Faults { short_per_1000: 100, error_per_1000: 100, ..Faults::default() };
-    let (mut marked, mut passed, mut wrong) = (0, 0, Vec::new());
+    let (mut marked, mut passed, mut late, mut wrong) = (0, 0, 0, Vec::new());
     for _ in 0..FRAMES {
         let frame = bench.camera.next_frame().await?;
         let reading = bench.read(&frame);
@@ -80,14 +82,17 @@ async fn damaged_frames() -> Outcome {
         match (frame.info.damaged, fault) {
             (true, Some(_)) => marked += 1,
             (false, None) => passed += 1,
+            // The kernel copies pictures on several threads; one that overtakes another makes that one late.
+            (true, None) => late += 1,
             (damaged, fault) => wrong.push(format!("damaged {damaged}, fault {fault:?}, {reading:?}")),
         }
     }
     let counters = bench.camera.counters().await?;
     bench.close().await?;
     ensure!(wrong.is_empty(), "{wrong:?}");
+    ensure!(late <= counters.stale, "{late} whole frames marked, {counters:?}");
     ensure!(marked > 0 && passed > 0, "{marked} marked, {passed} passed");
-    Ok(format!("{marked} damaged frames marked, {passed} whole ones passed; {counters:?}"))
+    Ok(format!("{marked} damaged frames marked, {passed} whole ones passed, {late} came late; {counters:?}"))
 }
 
 /// No picture comes, though the camera answers: the driver says so in time, and goes on when pictures come again.
