@@ -4,7 +4,7 @@ SHELL := /bin/bash
 GONIOD := target/debug/goniod
 RUNS ?= runs/demo
 
-.PHONY: demo test check setup setup-python build validate bench clean
+.PHONY: demo test check setup setup-python build validate bench soak clean
 
 ## Measure a simulated sample and show where the products are.
 demo: build
@@ -26,6 +26,10 @@ validate: setup
 ## Ratios of the pixel pass against a plain implementation, in the same process.
 bench: setup
 	cargo bench --profile dev
+
+## Two thousand nights with faults, where CI runs two hundred.
+soak: setup
+	GONIOD_NIGHTS=2000 cargo test --test night -- --nocapture
 
 build: setup
 	cargo build
