@@ -27,7 +27,7 @@ use tiny::{Tiny, memory_folder, scan_text};
 /// Exposures of the scan that is cut.
 const EXPOSURES: u32 = 60;
 /// Recovery is cut at each of its places after every so manieth cut of the scan.
-const EVERY: usize = 4;
+const EVERY: usize = 12;
 /// Simulated power cuts.
 const POWER_CUTS: u64 = 2000;
 /// Bits flipped.
@@ -460,10 +460,13 @@ fn a_program_killed_at_random_times_goes_on_where_it_was() {
                 .stderr(std::process::Stdio::piped())
                 .spawn()
                 .unwrap();
-            // Early and late in the run; from the sixth attempt on it may end.
-            let wait = 0.02 + 0.5 * draw.uniform(u64::from(runs * 100 + attempt));
+            // At any moment, or some moment after it got further; from the sixth attempt on it may end.
+            let wait = std::time::Duration::from_secs_f64(0.3 * draw.uniform(u64::from(runs * 100 + attempt)));
             if attempt < 5 {
-                std::thread::sleep(std::time::Duration::from_secs_f64(wait));
+                if attempt % 5 != 2 {
+                    wait_for_frames(&mut child, &folder, before);
+                }
+                std::thread::sleep(wait);
                 kills += u32::from(child.try_wait().unwrap().is_none());
                 let _ = child.kill();
                 child.wait().unwrap();
@@ -493,7 +496,16 @@ fn a_program_killed_at_random_times_goes_on_where_it_was() {
         runs += 1;
     }
     eprintln!("{kills} kills over {runs} runs; {went_on} times it went on from frames before");
-    assert!(went_on > 0);
+    assert!(went_on >= 30, "{went_on}");
+}
+
+/// Until the run has more than `before` frames, or the program is over.
+fn wait_for_frames(child: &mut std::process::Child, folder: &Path, before: usize) {
+    let further =
+        || the_run(folder).filter(|run| run.join("journal.sqlite-wal").exists()).map_or(0, |run| stored(&run));
+    while child.try_wait().unwrap().is_none() && further() <= before {
+        std::thread::sleep(std::time::Duration::from_millis(3));
+    }
 }
 
 fn the_run(folder: &Path) -> Option<PathBuf> {

@@ -2,7 +2,7 @@
 //!
 //! The simulated cameras paint what they really saw into spare rows of each frame; the journal says what it should have
 //! been. A step is *lost* when it is neither stored nor listed as missing, or its frame is not where the journal says;
-//! *doubled* when the same picture stands under two labels; *mislabelled* when the painting tells of another pose, filter,
+//! *doubled* when the same frame stands under two labels; *mislabelled* when the painting tells of another pose, filter,
 //! shutter, exposure or frame counter than the label. A second check knows nothing of the painting: within a bracket
 //! counts must rise with exposure.
 
@@ -47,7 +47,7 @@ pub struct Verdict {
     pub to_do: usize,
     /// Stored by the journal, not there in the store; or missing without reason.
     pub lost: Vec<String>,
-    /// The same picture under two labels.
+    /// The same frame under two labels.
     pub doubled: Vec<String>,
     /// Another truth in the picture than on the label.
     pub mislabelled: Vec<String>,
@@ -67,6 +67,10 @@ pub struct Files {
     /// Its plan with everything it was made from.
     pub document: RunDocument,
 }
+
+/// Steps by what makes a frame itself: its picture and the start of its exposure. (A bench that was switched off counts
+/// anew, so that equal pictures at other times are other frames.)
+type Seen = BTreeMap<(String, i64), u32>;
 
 /// Mean levels of one bracket: exposure in microseconds, mean as part of full scale.
 type Means = BTreeMap<u32, Vec<(u64, f64)>>;
@@ -154,7 +158,7 @@ impl Files {
         let frames: BTreeMap<u32, FrameRow> = frames.into_iter().map(|f| (f.step, f)).collect();
         let rows: BTreeMap<u32, StepRow> = rows.into_iter().map(|r| (r.layout.number, r)).collect();
         let mut verdict = Verdict { planned: self.document.plan.steps.len(), ..Verdict::default() };
-        let (mut seen, mut means) = (BTreeMap::new(), Means::new());
+        let (mut seen, mut means) = (Seen::new(), Means::new());
         for (step, view) in self.steps() {
             match rows.get(&step.number).map(|row| &row.state) {
                 None => verdict.lost.push(format!("step {}: the journal does not know it", step.number)),
@@ -177,7 +181,7 @@ impl Files {
         &self,
         (step, view): (&Step, &View),
         row: Option<&FrameRow>,
-        (seen, means): (&mut BTreeMap<String, u32>, &mut Means),
+        (seen, means): (&mut Seen, &mut Means),
         verdict: &mut Verdict,
     ) {
         let number = step.number;
@@ -195,8 +199,8 @@ impl Files {
         if !found.is_empty() && harmless && (first..pixels.len()).all(|i| pixels.level(i) == 0) {
             verdict.alike += 1;
             found.clear();
-        } else if let Some(other) = seen.insert(row.digest.clone(), number) {
-            verdict.doubled.push(format!("steps {other} and {number}: the same picture"));
+        } else if let Some(other) = seen.insert((row.digest.clone(), row.utc_us), number) {
+            verdict.doubled.push(format!("steps {other} and {number}: the same frame"));
         }
         verdict.mislabelled.extend(found.into_iter().map(|what| format!("step {number}: {what}")));
         if view.subject != Subject::Dark {

@@ -50,8 +50,8 @@ impl Schedule {
     pub fn of(mix: Mix, seed: u64, span: Duration) -> Schedule {
         match mix {
             Mix::None => Schedule { entries: Vec::new() },
-            Mix::Typical => Schedule::draw(&Kind::transient(), TYPICAL, 0.0, seed, span),
-            Mix::Nasty => Schedule::draw(&Kind::all(), NASTY, TOGETHER, seed, span),
+            Mix::Typical => Schedule::draw(&mixed(Kind::transient()), TYPICAL, 0.0, seed, span),
+            Mix::Nasty => Schedule::draw(&mixed(Kind::all()), NASTY, TOGETHER, seed, span),
         }
     }
 
@@ -79,6 +79,14 @@ impl Schedule {
         };
         Schedule { entries: picked.into_iter().zip(at).enumerate().map(entry).collect() }
     }
+}
+
+/// The kinds in an order that puts those of different devices beside each other, the same for every seed.
+fn mixed(kinds: Vec<Kind>) -> Vec<Kind> {
+    let key = Key::new(0).named("order of kinds");
+    let mut ordered: Vec<(u64, Kind)> = kinds.into_iter().enumerate().map(|(i, k)| (key.bits(i as u64), k)).collect();
+    ordered.sort();
+    ordered.into_iter().map(|(_, kind)| kind).collect()
 }
 
 impl FromStr for Mix {
