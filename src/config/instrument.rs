@@ -1,5 +1,6 @@
 //! `instrument.toml`: devices, ports, geometry, cameras, filter slots, limits, safe state.
 
+use super::daemon::Daemon;
 use goniod_drivers::frame::PixelFormat;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -31,6 +32,9 @@ pub struct Instrument {
     pub reference: References,
     /// What to do, in which order, to be safe.
     pub safe_state: SafeState,
+    /// Where `goniod serve` listens and keeps its queue.
+    #[serde(default)]
+    pub daemon: Daemon,
 }
 
 /// Which simulated bench answers the `sim:…` ports.

@@ -117,6 +117,18 @@ fn ports(instrument: &Instrument) -> Vec<(String, String)> {
     ports
 }
 
+/// Opens what the instrument file says: hardware, or in real time the simulated bench.
+///
+/// # Errors
+/// Those of the two.
+pub fn open(checked: &Checked, clock: Clock) -> Result<Opened, BenchError> {
+    if is_simulated(&checked.instrument)? {
+        open_simulated(checked, &Rehearsal::default(), clock)
+    } else {
+        open_hardware(checked, clock)
+    }
+}
+
 /// Opens the hardware of an instrument.
 ///
 /// # Errors

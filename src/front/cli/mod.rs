@@ -4,16 +4,21 @@ pub mod exit;
 pub mod output;
 
 mod check;
+mod daemon;
 mod export;
 mod input;
 mod plan;
 mod progress;
+mod queue;
 mod reduce;
 mod rehearse;
 mod report;
 mod run;
+mod serve;
 mod status;
+mod verbs;
 mod verify;
+mod watch;
 
 pub use run::exit_of_bench;
 
@@ -52,6 +57,18 @@ enum Command {
     Verify(verify::Args),
     /// Tell what the runs are doing or how they ended.
     Status(status::Args),
+    /// Serve the queue: the daemon.
+    Serve(serve::Args),
+    /// Tell the daemon what to measure.
+    Queue(queue::Args),
+    /// Follow what the daemon does.
+    Watch(watch::Args),
+    /// Close the shutter after the exposure under way and wait.
+    Pause(verbs::PauseArgs),
+    /// End the run after the exposure under way, safely; the queue is then held.
+    Stop(verbs::Args),
+    /// End the run now, safely; the queue is then held.
+    Abort(verbs::Args),
 }
 
 /// Parses the command line, runs the command and gives its exit code.
@@ -92,6 +109,12 @@ fn dispatch(command: Command, output: &Output) -> Outcome {
         Command::Report(args) => report::run(args, output),
         Command::Verify(args) => verify::run(args, output),
         Command::Status(args) => status::run(args, output),
+        Command::Serve(args) => serve::run(args, output),
+        Command::Queue(args) => queue::run(args, output),
+        Command::Watch(args) => watch::run(args, output),
+        Command::Pause(args) => verbs::pause(&args, output),
+        Command::Stop(args) => verbs::give("stop", &args.daemon, output),
+        Command::Abort(args) => verbs::give("abort", &args.daemon, output),
     }
 }
 

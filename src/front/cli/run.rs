@@ -1,13 +1,14 @@
 //! `goniod run SCAN`: measures in the foreground, on the hardware or in real time on a simulated bench.
 
 use super::exit::Exit;
-use super::input::ScanArgs;
+use super::input::{ScanArgs, instrument_path};
 use super::output::{Failure, Outcome, Output};
 use super::progress::{Progress, duration};
 use crate::config::check::Checked;
 use crate::control::events::EventBus;
 use crate::control::sequencer::verbs::listen_to_signals;
-use crate::front::bench::{BenchError, Opened, Rehearsal, is_simulated, open_hardware, open_simulated};
+use crate::front::bench::{BenchError, Opened, open};
+use crate::front::daemon::lock::Locks;
 use crate::front::night::{self, exit_of};
 use crate::products::make::{Made, make_all};
 use goniod_drivers::clock::Clock;
@@ -53,14 +54,10 @@ pub fn run(args: Args, output: &Output) -> Outcome {
     let checked = args.scan.check(output)?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(no_runtime)?;
     let runs = args.runs.unwrap_or_else(|| checked.instrument.runs_dir.clone());
-    let open = |clock| {
-        if is_simulated(&checked.instrument)? {
-            open_simulated(&checked, &Rehearsal::default(), clock)
-        } else {
-            open_hardware(&checked, clock)
-        }
-    };
-    let work = measure(&checked, &runs, Clock::system, open, output);
+    let path = instrument_path(args.scan.instrument.as_deref())?;
+    let locks = Locks::of_instrument(&path, &checked.instrument, "goniod run");
+    let _locks = locks.map_err(|e| Failure::new(super::serve::exit_of(&e), e.to_string()))?;
+    let work = measure(&checked, &runs, Clock::system, |clock| open(&checked, clock), output);
     let (ran, exit) = runtime.block_on(work)?;
     finish(ran, exit, !args.no_products, output)
 }
