@@ -1,10 +1,10 @@
 //! The driver table: one line a driver of this crate. A new device is one file in [`devices`](crate::devices) and one line here.
 
 use crate::clock::Clock;
-use crate::contract::{FilterWheel, LightMonitor, Monochromator, RotaryAxis, Shutter, Spectrometer};
+use crate::contract::{Camera, FilterWheel, LightMonitor, Monochromator, RotaryAxis, Shutter, Spectrometer};
 use crate::devices::{
-    AxisConfig, Fw212c, LightMonitorConfig, MonochromatorConfig, Sc10, ShutterConfig, SpectrometerConfig, WheelConfig,
-    ZaberChain, thorlabs_fw212c, thorlabs_sc10,
+    AxisConfig, CameraConfig, Fw212c, LightMonitorConfig, MonochromatorConfig, Sc10, ShutterConfig, SpectrometerConfig,
+    WheelConfig, ZaberChain, thorlabs_fw212c, thorlabs_sc10,
 };
 use crate::error::{DeviceError, ErrorKind, Result};
 use crate::transport::{Connector, UsbConnector};
@@ -25,6 +25,9 @@ pub type MakeUsbLightMonitor = fn(Box<dyn UsbConnector>, LightMonitorConfig, Clo
 /// Makes a spectrometer on USB.
 pub type MakeSpectrometer = fn(Box<dyn UsbConnector>, SpectrometerConfig, Clock) -> Box<dyn Spectrometer>;
 
+/// Makes a camera; `Refused` where its configuration asks for what the driver cannot do.
+pub type MakeCamera = fn(CameraConfig, Clock) -> Result<Box<dyn Camera>>;
+
 /// What a driver drives, and how it is made. Making sends nothing; `open` does.
 #[derive(Clone, Copy)]
 pub enum Make {
@@ -42,6 +45,8 @@ pub enum Make {
     UsbLightMonitor(MakeUsbLightMonitor),
     /// A spectrometer on USB.
     Spectrometer(MakeSpectrometer),
+    /// A camera.
+    Camera(MakeCamera),
 }
 
 /// One driver.
@@ -51,7 +56,7 @@ pub struct Driver {
     pub name: &'static str,
     /// Devices it speaks to.
     pub devices: &'static str,
-    /// Baud rate of the serial line; 0 for a device on USB.
+    /// Baud rate of the serial line; 0 for a device on another link.
     pub baud: u32,
     /// Kind and constructor.
     pub make: Make,
@@ -63,16 +68,33 @@ pub const DRIVERS: &[Driver] = &[
     Driver { name: "zaber-ascii", devices: "Zaber rotary stages, ASCII protocol, firmware 6.14 to 7.x", baud: 115_200, make: Make::Holder(zaber) },
     Driver { name: "thorlabs-fw212c", devices: "Thorlabs FW212C and FW102C filter wheels", baud: thorlabs_fw212c::BAUD, make: Make::FilterWheel(|c, w, k| Box::new(Fw212c::new(c, w, k))) },
     Driver { name: "thorlabs-sc10", devices: "Thorlabs SC10 shutter controller", baud: thorlabs_sc10::BAUD, make: Make::Shutter(|c, s, k| Box::new(Sc10::new(c, s, k))) },
+    #[cfg(feature = "v4l2")]
+    Driver { name: "v4l2", devices: "cameras behind any V4L2 node", baud: 0, make: Make::Camera(crate::devices::v4l2::make) },
+    #[cfg(feature = "aravis")]
+    Driver { name: "aravis", devices: "GigE Vision and USB3 Vision cameras", baud: 0, make: Make::Camera(crate::devices::aravis::make) },
 ];
+
+/// Drivers that not every build has, with the feature that brings them.
+pub const BY_FEATURE: &[(&str, &str)] =
+    &[("v4l2", "v4l2"), ("aravis", "aravis"), ("sim-ccd", "sim"), ("sim-ingaas", "sim")];
 
 fn zaber(connector: Box<dyn Connector>, axes: Vec<AxisConfig>, clock: Clock) -> Vec<Box<dyn RotaryAxis>> {
     let chain = ZaberChain::new(connector, axes, clock);
     chain.axes().into_iter().map(|axis| Box::new(axis) as Box<dyn RotaryAxis>).collect()
 }
 
+/// The feature that brings the driver called `name`, where not every build has it.
+pub fn feature_of(name: &str) -> Option<&'static str> {
+    BY_FEATURE.iter().find(|(driver, _)| *driver == name).map(|(_, feature)| *feature)
+}
+
 /// The driver called `name`; `Refused` lists the known ones.
 pub fn lookup(name: &str) -> Result<&'static Driver> {
     DRIVERS.iter().find(|d| d.name == name).ok_or_else(|| {
+        if let Some(feature) = feature_of(name) {
+            let message = format!("this build lacks the driver `{name}`; build it with `--features {feature}`");
+            return DeviceError::new(ErrorKind::Refused, name, message);
+        }
         let known: Vec<&str> = DRIVERS.iter().map(|d| d.name).collect();
         DeviceError::new(
             ErrorKind::Refused,
@@ -121,6 +143,14 @@ pub fn shutter(
     }
 }
 
+/// Makes a camera with the driver called `name`; it proves at every opening that it is what `config` says.
+pub fn camera(name: &str, config: CameraConfig, clock: Clock) -> Result<Box<dyn Camera>> {
+    match lookup(name)?.make {
+        Make::Camera(make) => make(config, clock),
+        _ => Err(wrong_kind(name, "a camera")),
+    }
+}
+
 fn wrong_kind(name: &str, wanted: &str) -> DeviceError {
     DeviceError::new(ErrorKind::Refused, name, format!("driver `{name}` does not drive {wanted}"))
 }
@@ -137,6 +167,16 @@ mod tests {
         for driver in DRIVERS {
             assert!(error.message.contains(driver.name), "{error}");
             assert_eq!(lookup(driver.name).unwrap().baud, driver.baud);
+        }
+    }
+
+    #[test]
+    fn a_driver_of_another_build_names_its_feature() {
+        for (name, feature) in BY_FEATURE {
+            match lookup(name) {
+                Ok(driver) => assert_eq!(driver.name, *name),
+                Err(error) => assert!(error.message.contains(&format!("--features {feature}")), "{error}"),
+            }
         }
     }
 }

@@ -1,6 +1,7 @@
 //! The simulated bench as a whole: opened from its file, a sample file and a seed; gives cameras and true answers.
 
 use crate::camera::{FaultQueue, SimCamera};
+use crate::gige::BenchScene;
 use crate::pose::PoseSource;
 use crate::truth::config::BenchFile;
 use crate::truth::draw::LampDraw;
@@ -93,6 +94,12 @@ impl Bench {
         let seat = self.seat(name)?;
         let (photographer, frames) = (Arc::clone(&seat.photographer), Arc::clone(&seat.frames));
         Ok(SimCamera::new(name, photographer, self.surroundings.clone(), frames, seat.faults.clone()))
+    }
+
+    /// What the camera `name` would photograph, as the scene of a GigE Vision twin with this sensor.
+    pub fn scene(&self, name: &str) -> Result<BenchScene> {
+        let photographer = Arc::clone(&self.seat(name)?.photographer);
+        Ok(BenchScene::new(name, photographer, self.surroundings.clone()))
     }
 
     /// Faults to come of the camera `name`, shared by all its handles.

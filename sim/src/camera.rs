@@ -67,6 +67,13 @@ struct Job {
     surroundings: Surroundings,
 }
 
+/// One camera before its bench.
+pub(crate) struct Look<'a> {
+    pub(crate) photographer: &'a Photographer,
+    pub(crate) surroundings: &'a Surroundings,
+    pub(crate) name: &'a str,
+}
+
 /// Frames of one camera that may live at once.
 const POOL: usize = 8;
 /// Longest wait for a free buffer.
@@ -253,8 +260,34 @@ impl SimCamera {
 
 impl Job {
     fn run(&self, photographer: &Photographer, buffer: Option<Pixels>, fault: Option<CameraFault>) -> Pixels {
-        let exposure_time = self.shot.settings.exposure;
-        let (length, start) = (exposure_time.duration(), self.shot.start);
+        let view = Look { photographer, surroundings: &self.surroundings, name: &self.name };
+        let (exposure, id) = (self.shot.settings.exposure, self.shot.id);
+        let mut pixels = view.picture(self.shot.start, exposure, [id, id], buffer);
+        match fault {
+            Some(CameraFault::Black) => blacken(&mut pixels, 0),
+            Some(CameraFault::Truncated) => {
+                let half = pixels.len() / 2;
+                blacken(&mut pixels, half);
+            }
+            _ => {}
+        }
+        pixels
+    }
+}
+
+// === impl Look ===
+
+impl Look<'_> {
+    /// What the camera sees from `start` on for so long, with the truth painted into its reserved rows. `ids`: the frame
+    /// counter that is painted, and the key of the noise.
+    pub(crate) fn picture(
+        &self,
+        start: Instant,
+        exposure_time: ExposureTime,
+        [id, noise]: [u64; 2],
+        buffer: Option<Pixels>,
+    ) -> Pixels {
+        let length = exposure_time.duration();
         let mut poses: Vec<(f64, Pose)> = Vec::new();
         for i in 0..LOOKS {
             let pose = self.surroundings.poses.pose(start + length * (2 * i + 1) / (2 * LOOKS));
@@ -265,21 +298,12 @@ impl Job {
         }
         let middle = start + length / 2;
         let since = middle.checked_duration_since(self.surroundings.opened).unwrap_or_default();
-        let lamp = self.surroundings.lamp.exposure(since.as_secs_f64(), &self.name, self.shot.id);
-        let truth =
-            PaintedTruth::new(&self.surroundings.poses.pose(middle), poses.len() > 1, exposure_time, self.shot.id);
+        let lamp = self.surroundings.lamp.exposure(since.as_secs_f64(), self.name, noise);
+        let truth = PaintedTruth::new(&self.surroundings.poses.pose(middle), poses.len() > 1, exposure_time, id);
         let exposure = Exposure { poses, seconds: exposure_time.seconds(), lamp };
-        let mut pixels = photographer.photograph(&exposure, self.shot.id, buffer);
-        let file = &photographer.file;
+        let mut pixels = self.photographer.photograph(&exposure, noise, buffer);
+        let file = &self.photographer.file;
         truth.paint(&mut pixels, file.width_px, file.fisheye.reserved_rows, file.levels());
-        match fault {
-            Some(CameraFault::Black) => blacken(&mut pixels, 0),
-            Some(CameraFault::Truncated) => {
-                let half = pixels.len() / 2;
-                blacken(&mut pixels, half);
-            }
-            _ => {}
-        }
         pixels
     }
 }

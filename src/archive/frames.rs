@@ -4,9 +4,10 @@
 //! decoding are those of the crate zarrs; the files themselves go through [`Disk`], which no kill can cut short.
 //! Source: Zarr core specification version 3 (zarr-specs.readthedocs.io), dot separator of the default key encoding.
 
-use super::disk::{Disk, make_folders, sha256_hex};
+use super::disk::{Disk, make_folders};
 use super::error::{ArchiveError, Result};
 use super::layout::ArrayLayout;
+use crate::digest::sha256_hex;
 use goniod_drivers::frame::Pixels;
 use std::collections::BTreeMap;
 use std::num::NonZeroU64;
@@ -84,7 +85,7 @@ impl FrameStore {
         let path = self.chunk_path(camera, array_index, exposure_index);
         let encoded = array.encode(pixels, &path)?;
         if let Some(folder) = path.parent() {
-            make_folders(folder)?;
+            make_folders(&*self.disk, folder)?;
         }
         self.disk.write_atomic(&path, &encoded).map_err(|e| ArchiveError::io("write the frame", &path, &e))?;
         Ok(Stored { digest: sha256_hex(&encoded), bytes: encoded.len() as u64 })

@@ -1,6 +1,8 @@
 //! `instrument.toml`: devices, ports, geometry, cameras, filter slots, limits, safe state.
 
 use super::daemon::Daemon;
+use super::night::{Interlocks, Recovery};
+use goniod_drivers::devices::camera::{AravisTable, V4l2Table};
 use goniod_drivers::frame::PixelFormat;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -14,6 +16,9 @@ pub struct Instrument {
     pub name: String,
     /// Folder that run directories are made in, relative to the working directory.
     pub runs_dir: PathBuf,
+    /// Go on with an unfinished run of the same plan instead of beginning a new one.
+    #[serde(default)]
+    pub auto_resume: bool,
     /// Present when ports named `sim:…` belong to a simulated bench.
     pub simulation: Option<Simulation>,
     /// Lamp spectrum and warm-up.
@@ -32,6 +37,11 @@ pub struct Instrument {
     pub reference: References,
     /// What to do, in which order, to be safe.
     pub safe_state: SafeState,
+    /// What is done about failing devices.
+    #[serde(default)]
+    pub recovery: Recovery,
+    /// Conditions under which exposures wait or the run ends; absent = none.
+    pub interlocks: Option<Interlocks>,
     /// Where `goniod serve` listens and keeps its queue.
     #[serde(default)]
     pub daemon: Daemon,
@@ -182,7 +192,7 @@ pub struct Shutter {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Camera {
-    /// Driver name (`sim-ccd`, `sim-ingaas`; `v4l2` and `aravis` later).
+    /// Driver name (`v4l2`, `aravis`; `sim-ccd`, `sim-ingaas` for the simulated bench's own).
     pub driver: String,
     /// Device path or address, or `sim:ccd`.
     pub port: String,
@@ -210,6 +220,10 @@ pub struct Camera {
     pub restart_s: Option<f64>,
     /// Calibration file of this camera, relative to the instrument file.
     pub calibration: PathBuf,
+    /// What only the driver `v4l2` needs.
+    pub v4l2: Option<V4l2Table>,
+    /// What only the driver `aravis` needs.
+    pub aravis: Option<AravisTable>,
 }
 
 /// Mirror and port.

@@ -1,5 +1,13 @@
-//! Opens the bench for a plan: hardware through the driver table, or, when every port starts with `sim:`, the
-//! simulated one. The only file outside `sim/` that names the simulator.
+//! Opens the bench for a plan: what moves through the driver table or, when its ports start with `sim:`, as twins of the
+//! simulated bench; cameras by their drivers, so that a real camera may photograph beside a simulated bench.
+
+mod hardware;
+#[cfg(feature = "sim")]
+mod simulated;
+
+pub use hardware::open_hardware;
+#[cfg(feature = "sim")]
+pub use simulated::{Faults, open_simulated, open_with_own_cameras};
 
 use crate::config::check::Checked;
 use crate::config::instrument::{Axis, Instrument};
@@ -9,19 +17,15 @@ use goniod_drivers::contract::{Camera, RotaryAxis};
 use goniod_drivers::devices::{AxisConfig, ShutterConfig, WheelConfig};
 use goniod_drivers::error::DeviceError;
 use goniod_drivers::table;
-use goniod_drivers::transport::{Connector, SerialConnector};
+use goniod_drivers::transport::Connector;
 use goniod_drivers::units::{Degrees, DegreesPerSecond, Slot};
-use goniod_sim::camera::FaultQueue;
-use goniod_sim::truth::error::SimError;
-use goniod_sim::twins::{Twins, TwinsSpec};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::time::Duration;
 use thiserror::Error;
 
-/// Camera drivers that this build knows, for the checks of instrument files.
-pub const CAMERA_DRIVERS: [&str; 2] = ["sim-ccd", "sim-ingaas"];
+/// Drivers of the simulated bench's own cameras that this build has, for the checks of instrument files.
+pub const CAMERA_DRIVERS: &[&str] = if cfg!(feature = "sim") { &["sim-ccd", "sim-ingaas"] } else { &[] };
 
 /// Why a bench cannot be opened.
 #[derive(Debug, Error)]
@@ -29,7 +33,7 @@ pub enum BenchError {
     /// Simulated and real ports together.
     #[error(
         "the instrument mixes simulated and real ports ({simulated} starts with `sim:`, {real} does not); \
-         a bench is all hardware or all simulated: make every port `sim:…` or none"
+         what moves is all hardware or all simulated: make the ports of holder, filter wheel and shutter `sim:…` or none of them"
     )]
     Mixed {
         /// A simulated one.
@@ -37,10 +41,10 @@ pub enum BenchError {
         /// A real one.
         real: String,
     },
-    /// A camera driver that is not in this build.
+    /// A simulated camera before a real bench.
     #[error(
-        "camera `{camera}`: driver `{driver}` photographs the simulated bench only, and this build has no other camera \
-         driver; rehearse the scan, or make every port of the instrument `sim:…`"
+        "camera `{camera}`: driver `{driver}` photographs the simulated bench only; rehearse the scan, \
+         name the driver of a real camera, or make every port of the instrument `sim:…`"
     )]
     CameraDriver {
         /// Camera.
@@ -59,9 +63,18 @@ pub enum BenchError {
         "the scan does not say which sample lies in the simulated bench; set `simulated` in [sample], or give --sample FILE"
     )]
     NoSample,
+    /// A part that only another build has.
+    #[error("this build has no {what}; build goniod with `--features {feature}`")]
+    Lacks {
+        /// What it lacks.
+        what: &'static str,
+        /// The feature that brings it.
+        feature: &'static str,
+    },
     /// The simulated bench's files.
+    #[cfg(feature = "sim")]
     #[error(transparent)]
-    Simulation(#[from] SimError),
+    Simulation(#[from] goniod_sim::truth::error::SimError),
     /// A device's driver.
     #[error(transparent)]
     Device(#[from] DeviceError),
@@ -83,18 +96,11 @@ pub struct Opened {
     /// Seed of the simulated bench; absent on hardware.
     pub seed: Option<u64>,
     /// Where faults are put into the simulated bench; absent on hardware.
+    #[cfg(feature = "sim")]
     pub faults: Option<Faults>,
 }
 
-/// Faults to come on a simulated bench.
-pub struct Faults {
-    /// Holder, wheel and shutter.
-    pub twins: Twins,
-    /// Frames of each camera.
-    pub cameras: BTreeMap<String, FaultQueue>,
-}
-
-/// True when the instrument's ports all belong to the simulated bench.
+/// True when what moves belongs to the simulated bench.
 ///
 /// # Errors
 /// [`BenchError::Mixed`].
@@ -108,81 +114,50 @@ pub fn is_simulated(instrument: &Instrument) -> Result<bool, BenchError> {
 }
 
 fn ports(instrument: &Instrument) -> Vec<(String, String)> {
-    let mut ports = vec![
+    vec![
         ("holder".to_owned(), instrument.holder.port.clone()),
         ("filter_wheel".to_owned(), instrument.filter_wheel.port.clone()),
         ("shutter".to_owned(), instrument.shutter.port.clone()),
-    ];
-    ports.extend(instrument.camera.iter().map(|(name, c)| (format!("camera.{name}"), c.port.clone())));
-    ports
+    ]
 }
 
-/// Opens what the instrument file says: hardware, or in real time the simulated bench.
+/// Opens the bench as the instrument file says it: hardware, or the simulated bench with the cameras that are named.
 ///
 /// # Errors
-/// Those of the two.
-pub fn open(checked: &Checked, clock: Clock) -> Result<Opened, BenchError> {
+/// [`BenchError`].
+pub fn open_as_written(checked: &Checked, clock: Clock) -> Result<Opened, BenchError> {
     if is_simulated(&checked.instrument)? {
-        open_simulated(checked, &Rehearsal::default(), clock)
+        open_with_own_cameras(checked, &Rehearsal::default(), clock)
     } else {
         open_hardware(checked, clock)
     }
 }
 
-/// Opens the hardware of an instrument.
+/// The bench for the safe state alone: no calibration, no spectra, no sample; nothing is sent yet.
 ///
 /// # Errors
-/// [`BenchError`]: a camera driver that is not in this build, a driver that refuses its configuration.
-pub fn open_hardware(checked: &Checked, clock: Clock) -> Result<Opened, BenchError> {
-    let instrument = &checked.instrument;
-    if let Some((name, camera)) = instrument.camera.iter().next() {
-        return Err(BenchError::CameraDriver { camera: name.clone(), driver: camera.driver.clone() });
+/// [`BenchError`]: a driver that is not in this build or refuses its configuration.
+pub fn open_direct(instrument: &Instrument, clock: Clock) -> Result<Bench, BenchError> {
+    #[cfg(feature = "sim")]
+    if is_simulated(instrument)? {
+        return Ok(Bench::new(simulated::direct(instrument, clock)?, Settle::of(instrument)));
     }
-    let connect = |driver: &str, port: &str| -> Result<Box<dyn Connector>, BenchError> {
-        Ok(Box::new(SerialConnector::new(port, table::lookup(driver)?.baud, clock)))
-    };
-    let devices = devices(instrument, clock, connect, BTreeMap::new())?;
-    Ok(Opened { bench: Bench::new(devices, Settle::of(instrument)), seed: None, faults: None })
+    Ok(Bench::new(hardware::direct(instrument, clock)?, Settle::of(instrument)))
 }
 
-/// Opens the simulated bench that an instrument names.
+/// The simulated bench of a build without one.
 ///
 /// # Errors
-/// [`BenchError`]: no simulation table, no sample, files of the bench that are wrong.
-pub fn open_simulated(checked: &Checked, rehearsal: &Rehearsal, clock: Clock) -> Result<Opened, BenchError> {
-    let instrument = &checked.instrument;
-    let simulation = instrument.simulation.as_ref().ok_or(BenchError::NoSimulation)?;
-    let description = checked.bench.as_ref().ok_or(BenchError::NoSimulation)?;
-    let sample = rehearsal.sample.as_ref().or(checked.simulated_sample.as_ref()).ok_or(BenchError::NoSample)?;
-    let seed = rehearsal.seed.unwrap_or(simulation.seed);
-    let holder = &instrument.holder;
-    let changer = holder.changer.as_ref().map_or("50003", |c| c.axis.serial.as_str());
-    let twins = Twins::new(TwinsSpec::with_serials(&holder.tilt.serial, &holder.spin.serial, changer));
-    let bench = goniod_sim::bench::Bench::open(description, sample, seed, Arc::new(twins.clone()), clock)?;
-    let mut cameras: BTreeMap<String, Box<dyn Camera>> = BTreeMap::new();
-    let mut faults = Faults { twins: twins.clone(), cameras: BTreeMap::new() };
-    for name in instrument.camera.keys() {
-        faults.cameras.insert(name.clone(), bench.faults(name)?);
-        cameras.insert(name.clone(), Box::new(bench.camera(name)?));
-    }
-    let connect = |_: &str, port: &str| {
-        twins.connector(port, clock).ok_or_else(|| {
-            BenchError::Simulation(SimError::Unknown {
-                what: "port",
-                name: port.to_owned(),
-                known: "`sim:holder`, `sim:filter-wheel`, `sim:shutter`".to_owned(),
-            })
-        })
-    };
-    // A rehearsal of a real instrument reaches the twins whatever the instrument's ports are called.
-    let mut twin_ports = instrument.clone();
-    twin_ports.holder.port = "sim:holder".to_owned();
-    twin_ports.filter_wheel.port = "sim:filter-wheel".to_owned();
-    twin_ports.shutter.port = "sim:shutter".to_owned();
-    let devices = devices(&twin_ports, clock, connect, cameras)?;
-    Ok(Opened { bench: Bench::new(devices, Settle::of(instrument)), seed: Some(seed), faults: Some(faults) })
+/// [`BenchError::Lacks`], always.
+#[cfg(not(feature = "sim"))]
+pub fn open_simulated(_: &Checked, _: &Rehearsal, _: Clock) -> Result<Opened, BenchError> {
+    Err(BenchError::Lacks { what: "simulated bench", feature: "sim" })
 }
 
+#[cfg(not(feature = "sim"))]
+use open_simulated as open_with_own_cameras;
+
+/// What moves, through the driver table, with these cameras.
 fn devices(
     instrument: &Instrument,
     clock: Clock,
@@ -220,6 +195,7 @@ fn devices(
             clock,
         )?,
         cameras,
+        light_monitor: None,
     })
 }
 

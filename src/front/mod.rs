@@ -6,4 +6,5 @@ pub mod cli;
 pub mod daemon;
 pub mod night;
 pub mod remaining;
+pub mod resume;
 pub mod runs;

@@ -11,15 +11,16 @@ use super::plots::canvas::Picture;
 use super::plots::{hemisphere, overview, spectrum};
 use super::reduce::{Reduction, Run, reduce};
 use super::report::{Figure, ProductFile, report};
-use crate::archive::disk::sha256_hex;
+use crate::archive::seal::seal_products;
 use crate::archive::write_atomic;
 use crate::config::scan::Format;
+use crate::digest::sha256_hex;
 use crate::engine::bsdf::set::{BsdfSet, Column, Quantity};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Folder of the run directory that holds products.
-pub const PRODUCTS: &str = "products";
+pub use crate::archive::seal::PRODUCTS;
+
 const KLEMS: &str = "Klems matrix, Visible and Solar: Radiance, WINDOW, EnergyPlus";
 const HDF5: &str = "everything with its uncertainty, NeXus layout: h5py, silx";
 
@@ -88,7 +89,7 @@ pub fn make_all(run: &Run) -> Result<Made> {
             made => made?,
         }
     }
-    Ok(maker.finish())
+    maker.finish()
 }
 
 /// The products that are asked for, in this order.
@@ -100,7 +101,7 @@ pub fn make(run: &Run, products: &[Product]) -> Result<Made> {
     for product in products {
         maker.make(*product)?;
     }
-    Ok(maker.finish())
+    maker.finish()
 }
 
 // === impl Product ===
@@ -143,9 +144,10 @@ impl<'a> Maker<'a> {
         self.not_made.push(line);
     }
 
-    fn finish(self) -> Made {
-        let files = self.written.into_iter().map(|w| w.path).collect();
-        Made { files, headline: headline(&self.reduction.set), not_made: self.not_made }
+    fn finish(self) -> Result<Made> {
+        let files: Vec<PathBuf> = self.written.into_iter().map(|w| w.path).collect();
+        seal_products(self.run.dir.path(), &files)?;
+        Ok(Made { files, headline: headline(&self.reduction.set), not_made: self.not_made })
     }
 }
 

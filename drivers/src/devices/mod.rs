@@ -2,6 +2,7 @@
 
 #[cfg(feature = "aravis")]
 pub mod aravis;
+pub mod camera;
 mod prompt;
 pub mod thorlabs_fw212c;
 pub mod thorlabs_sc10;
@@ -12,6 +13,7 @@ mod zaber_chain;
 pub mod zaber_protocol;
 pub mod zaber_warning;
 
+pub use camera::CameraConfig;
 pub use thorlabs_fw212c::{Fw212c, WheelConfig};
 pub use thorlabs_sc10::{Sc10, ShutterConfig};
 pub use zaber_ascii::ZaberAxis;

@@ -4,13 +4,14 @@
 //! drives it. Its picture comes from a [`Scene`]; what it really did for every block is in [`GigeTwin::truth`], so a
 //! test can hold a frame's label against it. Every 127.0.0.x is a camera of its own, without configuration.
 //!
-//! - [`scene`]: what is photographed
+//! - [`scene`]: what is photographed; [`bench_scene`]: the simulated bench as a scene
 //! - [`faults`]: what can go wrong, and the record of truth
 //! - [`registers`], [`address`], [`xml`]: what it tells and obeys
 //! - [`gvcp`], [`gvsp`], [`pixel`]: the bytes
 //! - [`control`], [`sensor`], [`shared`]: its two threads and what they share
 
 pub mod address;
+pub mod bench_scene;
 pub mod control;
 pub mod faults;
 pub mod gvcp;
@@ -22,6 +23,7 @@ pub mod sensor;
 pub mod shared;
 pub mod xml;
 
+pub use bench_scene::BenchScene;
 pub use faults::{Faults, FrameFault, Traffic, Truth};
 pub use pixel::PixelCode;
 pub use registers::Sensor;

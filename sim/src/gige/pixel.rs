@@ -19,13 +19,17 @@ pub enum PixelCode {
     Mono16,
     /// Red-green / green-blue mosaic, 8 bit.
     BayerRg8,
+    /// Green-blue / red-green mosaic, 8 bit.
+    BayerGb8,
+    /// Blue-green / green-red mosaic, 12 bit in words.
+    BayerBg12,
 }
 
 // === impl PixelCode ===
 
 impl PixelCode {
     /// All formats the twin offers.
-    pub const ALL: [PixelCode; 8] = [
+    pub const ALL: [PixelCode; 10] = [
         PixelCode::Mono8,
         PixelCode::Mono10,
         PixelCode::Mono12,
@@ -34,6 +38,8 @@ impl PixelCode {
         PixelCode::Mono14,
         PixelCode::Mono16,
         PixelCode::BayerRg8,
+        PixelCode::BayerGb8,
+        PixelCode::BayerBg12,
     ];
 
     /// The name in the XML.
@@ -47,6 +53,8 @@ impl PixelCode {
             PixelCode::Mono14 => "Mono14",
             PixelCode::Mono16 => "Mono16",
             PixelCode::BayerRg8 => "BayerRG8",
+            PixelCode::BayerGb8 => "BayerGB8",
+            PixelCode::BayerBg12 => "BayerBG12",
         }
     }
 
@@ -61,6 +69,8 @@ impl PixelCode {
             PixelCode::Mono14 => 0x0110_0025,
             PixelCode::Mono16 => 0x0110_0007,
             PixelCode::BayerRg8 => 0x0108_0009,
+            PixelCode::BayerGb8 => 0x0108_000a,
+            PixelCode::BayerBg12 => 0x0110_0013,
         }
     }
 
@@ -72,9 +82,9 @@ impl PixelCode {
     /// Highest level a pixel can show.
     pub fn max_level(self) -> u16 {
         match self {
-            PixelCode::Mono8 | PixelCode::BayerRg8 => 0xff,
+            PixelCode::Mono8 | PixelCode::BayerRg8 | PixelCode::BayerGb8 => 0xff,
             PixelCode::Mono10 => 0x3ff,
-            PixelCode::Mono12 | PixelCode::Mono12p | PixelCode::Mono12Packed => 0xfff,
+            PixelCode::Mono12 | PixelCode::Mono12p | PixelCode::Mono12Packed | PixelCode::BayerBg12 => 0xfff,
             PixelCode::Mono14 => 0x3fff,
             PixelCode::Mono16 => 0xffff,
         }
@@ -83,7 +93,7 @@ impl PixelCode {
     /// Bytes of `pixels` pixels; the packed forms round up.
     pub fn bytes(self, pixels: usize) -> usize {
         match self {
-            PixelCode::Mono8 | PixelCode::BayerRg8 => pixels,
+            PixelCode::Mono8 | PixelCode::BayerRg8 | PixelCode::BayerGb8 => pixels,
             PixelCode::Mono12p | PixelCode::Mono12Packed => (pixels * 3).div_ceil(2),
             _ => pixels * 2,
         }
@@ -93,7 +103,9 @@ impl PixelCode {
     pub fn encode(self, levels: &[u16], out: &mut Vec<u8>) {
         let top = self.max_level();
         match self {
-            PixelCode::Mono8 | PixelCode::BayerRg8 => out.extend(levels.iter().map(|v| (*v).min(top) as u8)),
+            PixelCode::Mono8 | PixelCode::BayerRg8 | PixelCode::BayerGb8 => {
+                out.extend(levels.iter().map(|v| (*v).min(top) as u8))
+            }
             PixelCode::Mono12p | PixelCode::Mono12Packed => {
                 for pair in levels.chunks(2) {
                     let (a, b) = (pair[0].min(top), pair.get(1).copied().unwrap_or(0).min(top));

@@ -1,10 +1,11 @@
 //! The instrument's devices by themselves: drivers, ports, axes, wheel, cameras, safe state.
 
-use super::{Options, Report};
+use super::{Options, Report, cameras};
 use crate::config::error::Issue;
 use crate::config::hint;
-use crate::config::instrument::{Axis, Camera, FilterSlot, Instrument};
+use crate::config::instrument::{Axis, FilterSlot, Instrument};
 use crate::config::load::Loaded;
+use goniod_drivers::table::feature_of;
 use std::collections::BTreeMap;
 
 /// Names that `safe_state.order` may hold.
@@ -12,9 +13,6 @@ const SAFE_NAMES: [&str; 6] = ["shutter", "tilt", "spin", "changer", "filter_whe
 
 /// Bands that no camera photographs.
 pub(super) const NOT_BANDS: [&str; 2] = ["open", "dark"];
-
-/// A day in seconds: more is a slip of the unit.
-const DAY_S: f64 = 86_400.0;
 
 pub(super) fn check(instrument: &Loaded<Instrument>, options: &Options, issues: &mut Vec<Issue>) {
     let mut report = Report { source: &instrument.source, issues };
@@ -28,14 +26,9 @@ pub(super) fn check(instrument: &Loaded<Instrument>, options: &Options, issues: 
     axes(i, &mut report);
     wheel(i, &mut report);
     report.range("shutter.settle_s", i.shutter.settle_s, 0.0, 60.0);
-    if i.camera.is_empty() {
-        report.error("camera", "there is no camera; add a table [camera.NAME]");
-    }
-    for (name, camera) in &i.camera {
-        self::camera(name, camera, &mut report);
-    }
-    unique_serials(i, &mut report);
+    cameras::check(i, &mut report);
     safe_state(i, &mut report);
+    super::night::check(i, &mut report);
 }
 
 /// Key, driver name and port of each device.
@@ -56,6 +49,12 @@ fn drivers(i: &Instrument, options: &Options, report: &mut Report<'_>) {
         }
         let known: Vec<&str> = options.drivers.iter().map(String::as_str).collect();
         let key = format!("{device}.driver");
+        if let Some(feature) = feature_of(driver) {
+            let message =
+                format!("`{key}` is \"{driver}\", which this build lacks; build goniod with `--features {feature}`");
+            report.error(&key, message);
+            continue;
+        }
         let meant = match hint::nearest(driver, known.iter().copied()) {
             Some(near) => format!("did you mean \"{near}\"?"),
             None => format!("known are {}", hint::quoted(&known)),
@@ -65,14 +64,34 @@ fn drivers(i: &Instrument, options: &Options, report: &mut Report<'_>) {
 }
 
 fn ports(i: &Instrument, report: &mut Report<'_>) {
-    let simulated = links(i).into_iter().find(|(_, _, port)| port.starts_with("sim:"));
-    let real = links(i).into_iter().find(|(_, _, port)| !port.starts_with("sim:"));
-    if let (Some((first, ..)), Some((device, _, port))) = (&simulated, &real) {
+    let simulated = |port: &str| port.starts_with("sim:");
+    let (cameras, moving): (Vec<_>, Vec<_>) = links(i).into_iter().partition(|(d, ..)| d.starts_with("camera."));
+    let bench = moving.iter().find(|(_, _, port)| simulated(port));
+    let real = moving.iter().find(|(_, _, port)| !simulated(port));
+    if let (Some((first, ..)), Some((device, _, port))) = (bench, real) {
         let key = format!("{device}.port");
         let message = format!(
-            "`{key}` is \"{port}\", but the port of {first} starts with `sim:`; a bench is all hardware or all simulated: make every port `sim:…` or none"
+            "`{key}` is \"{port}\", but the port of {first} starts with `sim:`; what moves is all hardware or all simulated: make every such port `sim:…` or none"
         );
         report.error(&key, message);
+    }
+    for (device, driver, port) in &cameras {
+        let key = format!("{device}.port");
+        match (driver.starts_with("sim-"), simulated(port)) {
+            (true, false) => report.error(
+                &key,
+                format!("`{key}` is \"{port}\", but driver \"{driver}\" photographs the simulated bench only; write `sim:…` or name the driver of a real camera"),
+            ),
+            (false, true) => report.error(
+                &key,
+                format!("`{key}` is \"{port}\", but driver \"{driver}\" drives real cameras; write its address or device path, or name a simulated camera's driver"),
+            ),
+            (true, true) if bench.is_none() => report.error(
+                &key,
+                format!("`{key}` is \"{port}\", but holder, filter wheel and shutter are real, so there is nothing for it to photograph; name a real camera, or make their ports `sim:…`"),
+            ),
+            _ => {}
+        }
     }
     let mut seen: BTreeMap<&str, String> = BTreeMap::new();
     for (device, _, port) in links(i) {
@@ -230,38 +249,6 @@ fn slot(i: &Instrument, key: &str, slot: &FilterSlot, report: &mut Report<'_>) {
             &format!("{key}.camera"),
             format!("`{key}.camera` is \"{name}\", a camera that is not there; write one of {}", hint::quoted(&known)),
         ),
-    }
-}
-
-fn camera(name: &str, camera: &Camera, report: &mut Report<'_>) {
-    let at = |key: &str| format!("camera.{name}.{key}");
-    report.text(&at("serial"), &camera.serial);
-    for (key, size) in [("width_px", camera.width_px), ("height_px", camera.height_px)] {
-        report.range(&at(key), size as f64, 16.0, 16384.0);
-    }
-    report.range(&at("gain"), camera.gain, 0.0, 1e6);
-    let sound = report.positive(&at("shortest_s"), camera.shortest_s, DAY_S)
-        && report.positive(&at("longest_s"), camera.longest_s, DAY_S);
-    if sound && camera.longest_s < camera.shortest_s {
-        let key = at("longest_s");
-        report
-            .error(&key, format!("`{key}` is {}, below shortest_s {}; swap them", camera.longest_s, camera.shortest_s));
-    }
-    report.range(&at("readout_s"), camera.readout_s, 0.0, 600.0);
-    report.range(&at("frame_interval_s"), camera.frame_interval_s, 0.0, 600.0);
-    report.range(&at("discard_frames"), f64::from(camera.discard_frames), 0.0, 100.0);
-    if let Some(restart_s) = camera.restart_s {
-        report.range(&at("restart_s"), restart_s, 0.0, 600.0);
-    }
-}
-
-fn unique_serials(i: &Instrument, report: &mut Report<'_>) {
-    let mut seen: BTreeMap<&str, &str> = BTreeMap::new();
-    for (name, camera) in &i.camera {
-        if let Some(other) = seen.insert(&camera.serial, name) {
-            let key = format!("camera.{name}.serial");
-            report.error(&key, format!("`{key}` is \"{}\", the serial number of camera {other} too", camera.serial));
-        }
     }
 }
 

@@ -1,8 +1,10 @@
 //! Instrument, scan and calibrations together: everything is compared with everything, and all faults are told at once.
 
 mod calibration;
+mod cameras;
 mod devices;
 mod inputs;
+mod night;
 mod optics;
 mod scan;
 #[cfg(test)]

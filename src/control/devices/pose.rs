@@ -100,7 +100,8 @@ impl Bench {
             DeviceId::Tilt => (self.known.tilt_deg, self.settle.tilt),
             _ => (self.known.spin_deg, self.settle.spin),
         };
-        if known == Some(target_deg) {
+        // An axis that stays where it is, is asked: one that was switched off meanwhile has lost its place.
+        if known == Some(target_deg) && self.still_at(id, target_deg, care, clock).await? {
             return Ok(());
         }
         self.forget(id);
@@ -111,6 +112,18 @@ impl Bench {
             _ => self.known.spin_deg = Some(target_deg),
         }
         Ok(())
+    }
+
+    /// False where the axis stands elsewhere. One without a reference is a fault: it must find it first.
+    async fn still_at(&mut self, id: &DeviceId, at_deg: f64, care: AxisCare, clock: Clock) -> Result<bool, Fault> {
+        let axis = self.axis(id)?;
+        match limited(clock, QUESTION_LIMIT, id, axis.position()).await? {
+            Some(position) => Ok(position.distance(Degrees(at_deg)).0 <= care.tolerance_deg),
+            None => {
+                self.forget(id);
+                Err(fault(id, ErrorKind::Broken, "has lost its reference; was it switched off?".to_owned()))
+            }
+        }
     }
 
     async fn move_axis(&mut self, id: &DeviceId, target_deg: f64, care: AxisCare, clock: Clock) -> Result<(), Fault> {

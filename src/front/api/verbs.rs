@@ -3,8 +3,11 @@
 use super::answers::Accepted;
 use super::error::ApiError;
 use super::routes::Shared;
-use crate::control::sequencer::state::State as RunState;
-use crate::control::sequencer::verbs::Verb;
+use crate::config::instrument::Instrument;
+use crate::config::load::load;
+use crate::control::devices::safe::SafeResult;
+use crate::control::sequencer::verbs::{Answer, Verb};
+use crate::front::bench::open_direct;
 use crate::front::daemon::hub::{Current, Hub};
 use axum::Json;
 use axum::extract::rejection::PathRejection;
@@ -13,8 +16,14 @@ use axum::http::StatusCode;
 use tokio::sync::mpsc::error::TrySendError;
 
 /// The verbs by the names of their paths.
-pub const VERBS: [(&str, Verb); 4] =
-    [("pause", Verb::Pause), ("resume", Verb::Resume), ("stop", Verb::Stop), ("abort", Verb::Abort)];
+pub const VERBS: [(&str, Verb); 6] = [
+    ("pause", Verb::Pause),
+    ("pause-now", Verb::PauseNow),
+    ("resume", Verb::Resume),
+    ("stop", Verb::Stop),
+    ("abort", Verb::Abort),
+    ("safe", Verb::Safe),
+];
 
 pub(super) async fn ask(
     State(hub): State<Shared>,
@@ -28,18 +37,23 @@ pub(super) async fn ask(
     };
     let (run, message) = match hub.current() {
         Some(current) => {
-            give(&hub, &current, *verb)?;
-            (Some(current.run), format!("{name} is with the run"))
+            let when = give(&hub, &current, *verb)?;
+            (Some(current.run), format!("{name}, {when}"))
         }
+        None if *verb == Verb::Safe => (None, make_safe(&hub).await?),
         None => (None, without_run(&hub, name, *verb).await?),
     };
     Ok(Json(Accepted { verb: (*name).to_owned(), run, message }))
 }
 
-fn give(hub: &Hub, current: &Current, verb: Verb) -> Result<(), ApiError> {
-    if let Some(why) = refusal(&current.state, verb) {
-        return Err(ApiError::new(StatusCode::CONFLICT, format!("{}: {why}", current.run)));
-    }
+/// Gives the verb to the run; says when it is carried out. The run's own answer, which may differ where its state
+/// changes in between, is in its journal.
+fn give(hub: &Hub, current: &Current, verb: Verb) -> Result<&'static str, ApiError> {
+    let when = match current.state.answer(verb) {
+        Answer::Now(_) => "now",
+        Answer::AfterStep(_) => "after the exposure under way",
+        Answer::Refused(why) => return Err(ApiError::new(StatusCode::CONFLICT, format!("{}: {why}", current.run))),
+    };
     current.verbs.try_send(verb).map_err(|e| match e {
         TrySendError::Full(_) => ApiError::new(
             StatusCode::SERVICE_UNAVAILABLE,
@@ -47,21 +61,33 @@ fn give(hub: &Hub, current: &Current, verb: Verb) -> Result<(), ApiError> {
         ),
         TrySendError::Closed(_) => ApiError::new(StatusCode::CONFLICT, "the run has just ended"),
     })?;
-    if matches!(verb, Verb::Stop | Verb::Abort) {
+    if matches!(verb, Verb::Stop | Verb::Abort | Verb::Safe) {
         hub.end_asked(&current.run);
     }
-    Ok(())
+    Ok(when)
 }
 
-/// Why a state does not carry a verb out.
-fn refusal(state: &RunState, verb: Verb) -> Option<&'static str> {
-    match (state, verb) {
-        (RunState::MakingSafe(_), _) => Some("the run is ending; the bench is being made safe"),
-        (RunState::Ended(_) | RunState::Faulted(_), _) => Some("the run is over"),
-        (RunState::Paused | RunState::Pausing, Verb::Pause) => Some("a pause is asked for already"),
-        (RunState::Idle | RunState::Checking | RunState::Running, Verb::Resume) => Some("the run is under way"),
-        _ => None,
+/// Without a run: opens what the safe state lists and makes it safe; the queue is held first.
+async fn make_safe(hub: &Shared) -> Result<String, ApiError> {
+    let why = "the bench was made safe by the operator; `goniod resume` lets the queue go on";
+    let holder = Shared::clone(hub);
+    let saved = tokio::task::spawn_blocking(move || holder.hold(Some(why.to_owned())));
+    let saved = saved.await.map_err(|e| ApiError::broken(&e))?;
+    let Ok(_bench) = hub.bench.try_lock() else {
+        let why = "a run is about to begin or to end; ask again in a moment";
+        return Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, why));
+    };
+    let failed = |why: String| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, why);
+    let instrument = load::<Instrument>(&hub.facts.instrument, "instrument").map_err(|e| failed(e.to_string()))?.value;
+    let mut bench = open_direct(&instrument, hub.clock).map_err(|e| failed(e.to_string()))?;
+    let reports = bench.make_safe(&instrument.safe_state, hub.clock).await;
+    let words: Vec<String> = reports.iter().map(|r| format!("{} {}", r.device, r.outcome.word())).collect();
+    if reports.iter().any(|r| r.outcome != SafeResult::Confirmed) {
+        return Err(failed(format!("NOT PROVEN SAFE, look at the bench: {}", words.join(", "))));
     }
+    // Whether the hold is on the disk too matters less than the bench, and is told after it.
+    saved?;
+    Ok(format!("the bench is safe: {}; the queue is held", words.join(", ")))
 }
 
 /// Between runs the queue is meant: `resume` lets it go on, `pause` and `stop` hold it.
@@ -69,7 +95,9 @@ async fn without_run(hub: &Shared, name: &str, verb: Verb) -> Result<String, Api
     let held = hub.queue(|queue| queue.held().map(str::to_owned));
     let (why, message) = match (verb, held) {
         (Verb::Resume, Some(_)) => (None, "the queue goes on"),
-        (Verb::Resume, None) => return Err(nothing(name, "and nothing holds the queue")),
+        (Verb::Resume, None) => {
+            return Err(nothing(name, "and nothing holds the queue; `goniod resume RUN` goes on with a run"));
+        }
         (Verb::Abort, _) => return Err(nothing(name, "so there is nothing to give up")),
         (_, Some(_)) => return Err(nothing(name, "and the queue is held already")),
         (_, None) => (

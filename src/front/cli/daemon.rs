@@ -6,7 +6,9 @@ use super::output::Failure;
 use crate::config::daemon::Daemon;
 use crate::config::instrument::Instrument;
 use crate::config::load::load;
+use crate::front::api::answers::Status;
 use crate::front::api::client::{Client, ClientError};
+use hyper::Method;
 use std::path::{Path, PathBuf};
 
 /// The socket where nothing else is said.
@@ -58,6 +60,11 @@ where
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let runtime = runtime.map_err(|e| ClientError::Garbled { socket: socket.clone(), why: e.to_string() })?;
     runtime.block_on(async { ask(Client::new(socket)).await })
+}
+
+/// True where a daemon answers.
+pub fn runs(args: &DaemonArgs) -> bool {
+    asked(args, |client| async move { client.ask::<Status>(Method::GET, "/v1/status", None::<&()>).await }).is_ok()
 }
 
 impl From<ClientError> for Failure {

@@ -5,6 +5,7 @@ use super::output::{Failure, Output};
 use crate::config::check::{Checked, Options, check};
 use crate::config::error::ConfigError;
 use crate::front::bench::CAMERA_DRIVERS;
+use crate::front::night::stamp;
 use crate::products::reduce::Run;
 use goniod_drivers::clock::{Clock, UtcMicros};
 use goniod_drivers::table::DRIVERS;
@@ -26,14 +27,18 @@ impl ScanArgs {
     /// Reads and checks everything; warnings are told on the way.
     pub fn check(&self, output: &Output) -> Result<Checked, Failure> {
         let instrument = instrument_path(self.instrument.as_deref())?;
-        let drivers = DRIVERS.iter().map(|d| d.name).chain(CAMERA_DRIVERS).map(str::to_owned).collect();
-        let options = Options { drivers, today: today() };
-        let checked = check(&self.scan, &instrument, &options).map_err(bad_input)?;
+        let checked = check(&self.scan, &instrument, &check_options(Clock::system())).map_err(bad_input)?;
         for warning in &checked.warnings {
             output.warn(&warning.to_string());
         }
         Ok(checked)
     }
+}
+
+/// What the checks are to know: the drivers of this build, and the day by this clock.
+pub fn check_options(clock: Clock) -> Options {
+    let drivers = DRIVERS.iter().map(|d| d.name).chain(CAMERA_DRIVERS.iter().copied()).map(str::to_owned).collect();
+    Options { drivers, today: stamp(clock.utc()).to_zoned(jiff::tz::TimeZone::UTC).date() }
 }
 
 /// The instrument file: as given, else the first of the usual places.
@@ -54,11 +59,6 @@ pub fn instrument_path(given: Option<&Path>) -> Result<PathBuf, Failure> {
             ),
         )
     })
-}
-
-/// Today, by the system's calendar.
-pub fn today() -> jiff::civil::Date {
-    crate::front::night::stamp(Clock::system().utc()).to_zoned(jiff::tz::TimeZone::UTC).date()
 }
 
 /// A moment given as RFC 3339.

@@ -6,14 +6,16 @@ pub mod output;
 mod check;
 mod daemon;
 mod export;
-mod input;
+pub mod input;
 mod plan;
 mod progress;
 mod queue;
 mod reduce;
 mod rehearse;
 mod report;
+mod resume;
 mod run;
+mod safe;
 mod serve;
 mod status;
 mod verbs;
@@ -45,6 +47,8 @@ enum Command {
     Plan(plan::Args),
     /// Measure, in the foreground.
     Run(run::Args),
+    /// Go on with a run at the exposure where it ended, was stopped or was cut short.
+    Resume(resume::Args),
     /// Measure on the simulated bench in virtual time: a night in seconds.
     Rehearse(rehearse::Args),
     /// Make all products again from the raw frames of a run.
@@ -57,6 +61,8 @@ enum Command {
     Verify(verify::Args),
     /// Tell what the runs are doing or how they ended.
     Status(status::Args),
+    /// Make the bench safe, past everything else; the queue is then held.
+    Safe(safe::Args),
     /// Serve the queue: the daemon.
     Serve(serve::Args),
     /// Tell the daemon what to measure.
@@ -103,12 +109,14 @@ fn dispatch(command: Command, output: &Output) -> Outcome {
         Command::Check(args) => check::run(args, output),
         Command::Plan(args) => plan::run(args, output),
         Command::Run(args) => run::run(args, output),
+        Command::Resume(args) => resume::run(args, output),
         Command::Rehearse(args) => rehearse::run(args, output),
         Command::Reduce(args) => reduce::run(args, output),
         Command::Export(args) => export::run(args, output),
         Command::Report(args) => report::run(args, output),
         Command::Verify(args) => verify::run(args, output),
         Command::Status(args) => status::run(args, output),
+        Command::Safe(args) => safe::run(args, output),
         Command::Serve(args) => serve::run(args, output),
         Command::Queue(args) => queue::run(args, output),
         Command::Watch(args) => watch::run(args, output),

@@ -5,11 +5,13 @@ use super::input::{ScanArgs, instrument_path};
 use super::output::{Failure, Outcome, Output};
 use super::progress::{Progress, duration};
 use crate::config::check::Checked;
+use crate::config::instrument::Instrument;
 use crate::control::events::EventBus;
 use crate::control::sequencer::verbs::listen_to_signals;
-use crate::front::bench::{BenchError, Opened, open};
+use crate::front::bench::{BenchError, Opened, open_as_written};
 use crate::front::daemon::lock::Locks;
-use crate::front::night::{self, exit_of};
+use crate::front::night::{self, Night, exit_of};
+use crate::front::resume::{Unfinished, newest_unfinished};
 use crate::products::make::{Made, make_all};
 use goniod_drivers::clock::Clock;
 use serde::Serialize;
@@ -55,11 +57,38 @@ pub fn run(args: Args, output: &Output) -> Outcome {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(no_runtime)?;
     let runs = args.runs.unwrap_or_else(|| checked.instrument.runs_dir.clone());
     let path = instrument_path(args.scan.instrument.as_deref())?;
-    let locks = Locks::of_instrument(&path, &checked.instrument, "goniod run");
-    let _locks = locks.map_err(|e| Failure::new(super::serve::exit_of(&e), e.to_string()))?;
-    let work = measure(&checked, &runs, Clock::system, |clock| open(&checked, clock), output);
+    let locks = lock_instrument(&path, &checked.instrument, "goniod run")?;
+    if let Some(unfinished) = to_go_on_with(&checked, &runs)? {
+        output.say(&format!("going on with {}", unfinished.path.display()));
+        return super::resume::go_on(unfinished, false, !args.no_products, (&locks, output));
+    }
+    let open = |clock| open_as_written(&checked, clock);
+    let work = measure(&checked, &runs, Clock::system, open, (Some(&locks), output));
     let (ran, exit) = runtime.block_on(work)?;
     finish(ran, exit, !args.no_products, output)
+}
+
+/// The newest unfinished run, where the instrument wants it gone on with by itself and it is the same scan and plan.
+fn to_go_on_with(checked: &Checked, runs: &Path) -> Result<Option<Unfinished>, Failure> {
+    if !checked.instrument.auto_resume {
+        return Ok(None);
+    }
+    let Some(path) = newest_unfinished(runs)? else { return Ok(None) };
+    let sample = checked.simulated_sample.clone();
+    // A run of another instrument or with another calibration is another run: a new one is started.
+    let Ok(run) = Unfinished::compare(&path, &checked.instrument, &checked.instrument_dir, sample) else {
+        return Ok(None);
+    };
+    let same = run.document.scan == checked.scan && run.document.plan.hash == night::plan(checked)?.hash;
+    Ok((same && !run.document.virtual_time).then_some(run))
+}
+
+/// Takes the instrument for this process.
+///
+/// # Errors
+/// Somebody else has it, as a refused command.
+pub fn lock_instrument(path: &Path, instrument: &Instrument, who: &str) -> Result<Locks, Failure> {
+    Locks::of_instrument(path, instrument, who).map_err(|e| Failure::new(super::serve::exit_of(&e), e.to_string()))
 }
 
 /// Opens the bench, makes the run directory and measures, on the runtime it is called on.
@@ -68,23 +97,37 @@ pub async fn measure(
     runs: &Path,
     clock: impl FnOnce() -> Clock,
     open: impl FnOnce(Clock) -> Result<Opened, BenchError>,
-    output: &Output,
+    (locks, output): (Option<&Locks>, &Output),
 ) -> Result<(Ran, Exit), Failure> {
     let plan = night::plan(checked)?;
     let clock = clock();
     let mut opened = open(clock).map_err(|e| Failure::new(exit_of_bench(&e), e.to_string()))?;
     let night = night::prepare(checked, plan, runs, clock, opened.seed)?;
+    carry_out(checked, night, &mut opened, clock, (locks, output)).await
+}
+
+/// Measures what a run has to do, with progress and signals, on the runtime it is called on.
+pub async fn carry_out(
+    checked: &Checked,
+    night: Night,
+    opened: &mut Opened,
+    clock: Clock,
+    (locks, output): (Option<&Locks>, &Output),
+) -> Result<(Ran, Exit), Failure> {
     output.say(&format!("run {}", night.path.display()));
+    if let Some(locks) = locks {
+        locks.tell(Some(&night.path.display().to_string()));
+    }
     let events = EventBus::default();
     let progress = Progress::begin(&night.plan, events.subscribe(), output.json);
     let (sender, verbs) = mpsc::channel(VERBS);
     listen_to_signals(sender)
         .map_err(|e| Failure::new(Exit::Failed, format!("SIGINT and SIGTERM cannot be listened to: {e}")))?;
-    let outcome = night::measure(checked, &night, &mut opened, clock, verbs, &events).await;
+    let outcome = night::measure(checked, &night, opened, clock, verbs, &events).await;
     progress.end();
     let outcome = outcome?;
     let ran = Ran {
-        run: night.path,
+        run: night.path.clone(),
         ending: format!("{:?}", outcome.ending).to_lowercase(),
         stored: outcome.summary.stored,
         missing: outcome.summary.missing,

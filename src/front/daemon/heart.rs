@@ -44,7 +44,7 @@ pub async fn beat(hub: &Hub) {
 
 /// True when a run that should be moving has not given an event for longer than any of its steps can take.
 fn is_stuck(current: &Current, now_s: f64) -> bool {
-    let moving = !matches!(current.state, State::Paused);
+    let moving = !matches!(current.state, State::Paused | State::Suspended(_));
     moving && now_s - current.heard_s > current.silence_s
 }
 

@@ -31,6 +31,8 @@ pub struct Hub {
     pub products: Notify,
     /// Events that clients lost because they were too slow.
     pub lost: AtomicU64,
+    /// Held by whoever has the devices open.
+    pub bench: tokio::sync::Mutex<()>,
     queue: Mutex<Queue>,
     current: Mutex<Option<Current>>,
     last: Mutex<VecDeque<Told>>,
@@ -206,6 +208,7 @@ impl Hub {
             wake: Notify::new(),
             products: Notify::new(),
             lost: AtomicU64::new(0),
+            bench: tokio::sync::Mutex::new(()),
             queue: Mutex::new(queue),
             current: Mutex::new(None),
             last: Mutex::new(VecDeque::new()),

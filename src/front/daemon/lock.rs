@@ -5,8 +5,9 @@
 
 use super::error::DaemonError;
 use super::snapshot::plain;
-use crate::archive::disk::sha256_hex;
+use crate::archive::disk::{RealDisk, make_folders};
 use crate::config::instrument::Instrument;
+use crate::digest::sha256_hex;
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{ErrorKind, Read, Seek, SeekFrom, Write};
 use std::os::unix::fs::PermissionsExt;
@@ -67,7 +68,7 @@ impl Locks {
     /// # Errors
     /// As [`Locks::of_instrument`].
     pub fn and_state(self, state: &Path) -> Result<Locks, DaemonError> {
-        crate::archive::disk::make_folders(state)?;
+        make_folders(&RealDisk, state)?;
         self.take(&state.join("daemon.lock"), &format!("the state folder {}", state.display()), STATE_HINT)?;
         Ok(self)
     }

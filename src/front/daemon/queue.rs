@@ -10,7 +10,7 @@
 use super::entry::{Entry, EntryState, Products, Work};
 use super::error::DaemonError;
 use super::snapshot;
-use crate::archive::disk::{TEMPORARY_PREFIX, make_folders, sync_folder};
+use crate::archive::disk::{Disk, RealDisk, TEMPORARY_PREFIX, make_folders};
 use crate::archive::write_atomic;
 use crate::config::check::Checked;
 use serde::Serialize;
@@ -54,7 +54,7 @@ impl Queue {
     /// A folder that cannot be made or listed.
     pub fn open(state: &Path) -> Result<Queue, DaemonError> {
         let folder = state.join("queue");
-        make_folders(&folder)?;
+        make_folders(&RealDisk, &folder)?;
         let mut queue = Queue {
             state: state.to_owned(),
             folder: folder.clone(),
@@ -200,7 +200,7 @@ impl Queue {
     }
 
     fn build(&self, building: &Path, entry: &Entry, checked: Option<&Checked>) -> Result<(), DaemonError> {
-        make_folders(building)?;
+        make_folders(&RealDisk, building)?;
         if let Some(checked) = checked {
             snapshot::write(building, checked)?;
         }
@@ -208,7 +208,7 @@ impl Queue {
         let path = self.folder_of(entry.id);
         let io = |source| DaemonError::Io { path: path.clone(), source };
         fs::rename(building, &path).map_err(io)?;
-        sync_folder(&self.folder).map_err(io)
+        RealDisk.sync_folder(&self.folder).map_err(io)
     }
 
     /// Keeps the list of what is over short.

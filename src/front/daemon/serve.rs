@@ -38,7 +38,7 @@ pub async fn serve(place: &Place, instrument: &Instrument, ready: impl FnOnce())
         name: instrument.name.clone(),
         instrument: snapshot::plain(&place.instrument),
         runs_dir: snapshot::plain(&instrument.runs_dir),
-        auto_resume: false,
+        auto_resume: instrument.auto_resume,
     };
     let hub = Arc::new(Hub::new(facts, Queue::open(&place.state)?, Clock::system()));
     worker::settle(&hub);

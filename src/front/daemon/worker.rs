@@ -5,14 +5,14 @@ use super::error::DaemonError;
 use super::hub::{Current, Hub, Phase};
 use super::lock::Locks;
 use super::start::{Begun, begin};
+use crate::config::night::Recovery;
 use crate::control::events::{EventBus, Stamped};
 use crate::control::sequencer::run::Outcome;
 use crate::control::sequencer::state::{Ending, State};
 use crate::control::sequencer::verbs::Verb;
 use crate::front::night;
-use futures_util::FutureExt;
+use crate::front::runs::{OPEN, status_of};
 use goniod_drivers::clock::Clock;
-use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::{broadcast, mpsc};
@@ -31,7 +31,10 @@ pub async fn work(hub: &Arc<Hub>, locks: &Locks) {
     let mut phase = hub.phase();
     while *phase.borrow_and_update() == Phase::Working {
         match hub.queue(|queue| if queue.held().is_some() { None } else { queue.next().cloned() }) {
-            Some(entry) => carry_out(hub, locks, &entry).await,
+            Some(entry) => {
+                let _bench = hub.bench.lock().await;
+                carry_out(hub, locks, &entry).await;
+            }
             None => tokio::select! {
                 () = hub.wake.notified() => {}
                 _ = phase.changed() => {}
@@ -72,31 +75,16 @@ async fn measure(hub: &Arc<Hub>, entry: &Entry, begun: &mut Begun) -> Result<(Ou
     let by_us;
     let outcome = {
         let running = night::measure(&begun.checked, &begun.night, &mut begun.opened, clock, verbs, &events);
-        let mut running = std::pin::pin!(AssertUnwindSafe(running).catch_unwind());
+        let mut running = std::pin::pin!(running);
         tokio::select! {
             outcome = &mut running => { by_us = false; outcome }
             asked = stop_when_asked(hub) => { by_us = asked; running.await }
         }
     };
-    let outcome = match outcome {
-        Ok(Ok(outcome)) => Ok((outcome, by_us)),
-        Ok(Err(failure)) => Err(failure.messages.join("; ")),
-        Err(_) => {
-            // The future is gone, the bench is not.
-            let safe = begun.opened.bench.make_safe(&begun.checked.instrument.safe_state, clock).await;
-            let unproven: Vec<String> =
-                safe.iter().filter(|r| r.outcome != crate::control::devices::safe::SafeResult::Confirmed)
-                    .map(|r| r.device.clone()).collect();
-            let bench = if unproven.is_empty() { "the bench is safe".to_owned() } else {
-                format!("NOT PROVEN SAFE: {}; look at the bench", unproven.join(", "))
-            };
-            Err(format!("a fault of the program itself (the log has it); {bench}; `goniod resume` goes on with the run"))
-        }
-    };
     drop(events);
     // The follower ends with the bus; it has only bounded work left.
     let _ = hub.clock.timeout(Duration::from_secs(5), follower).await;
-    outcome
+    outcome.map(|outcome| (outcome, by_us)).map_err(|failure| failure.messages.join("; "))
 }
 
 /// Never ends while the daemon is at work; then stops the run, and aborts it when asked again or when it takes too
@@ -115,6 +103,12 @@ async fn stop_when_asked(hub: &Hub) -> bool {
         ask(&verbs, Verb::Abort).await;
     });
     !current.end_asked
+}
+
+/// How long a lost device may be waited for.
+fn longest_outage_s(recovery: &Recovery) -> f64 {
+    let own = recovery.device.values().filter_map(|device| device.longest_outage_s);
+    own.fold(recovery.longest_outage_s, f64::max)
 }
 
 async fn ask(verbs: &mpsc::Sender<Verb>, verb: Verb) {
@@ -136,7 +130,7 @@ fn current(hub: &Hub, entry: &Entry, begun: &Begun, verbs: mpsc::Sender<Verb>) -
         state: State::Idle,
         begun: begun.clock.utc(),
         forecast_s: plan.forecast.total_s(),
-        silence_s: SILENCE_S + SILENT_EXPOSURES * longest_s,
+        silence_s: SILENCE_S + SILENT_EXPOSURES * longest_s + longest_outage_s(&begun.checked.instrument.recovery),
         heard_s: hub.clock.elapsed().as_secs_f64(),
         end_asked: false,
         verbs,
@@ -190,9 +184,13 @@ fn holds(run: &str, ending: &str, outcome: &Outcome) -> Option<String> {
     let message = outcome.message.as_ref().map_or_else(String::new, |m| format!(" ({m})"));
     match outcome.ending {
         _ if !outcome.is_safe() => Some(format!("after {run} ({ending}) a device did not prove that it is safe: look at the bench")),
-        Ending::Completed | Ending::DeviceRefused | Ending::NotReady => None,
+        Ending::Completed | Ending::DeviceRefused | Ending::NotReady | Ending::DeviceLost => None,
+        Ending::SuspendedTooLong | Ending::Crashed => None,
+        Ending::Alarm => Some(format!("an interlock gave the alarm in {run}{message}")),
         Ending::DiskFull | Ending::ArchiveFailed => Some(format!("the archive failed in {run}{message}")),
-        _ => Some(format!("the operator ended {run} ({ending})")),
+        Ending::Stopped | Ending::Aborted | Ending::MadeSafe => {
+            Some(format!("the operator ended {run} ({ending})"))
+        }
     }
 }
 
@@ -241,9 +239,9 @@ pub fn settle(hub: &Hub) {
     for entry in running {
         let EntryState::Running { run } = &entry.state else { continue };
         let path = hub.facts.runs_dir.join(run);
-        match crate::front::runs::status_of(&path) {
+        match status_of(&path) {
             None => change(hub, entry.id, |e| e.state = EntryState::Waiting),
-            Some(status) if status.planned == 0 && status.state != crate::front::runs::OPEN => {
+            Some(status) if status.planned == 0 && status.state != OPEN => {
                 let ended = Ended {
                     ending: status.state,
                     stored: status.stored,

@@ -22,6 +22,7 @@ pub use counters::Counts;
 pub use options::{AravisOptions, Cooler, Trigger};
 pub use wire_format::WireFormat;
 
+use super::camera::{CameraConfig, Proven};
 use crate::clock::Clock;
 use crate::contract::{Armed, Camera, CameraInfo, CameraSettings, Device, Health, Identity};
 use crate::error::{DeviceError, ErrorKind, Result};
@@ -33,6 +34,15 @@ use link::{Command, Link, Reply};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
+
+/// A camera as the instrument file says it.
+///
+/// # Errors
+/// `Refused`: a pixel format that the driver does not read.
+pub fn make(config: CameraConfig, clock: Clock) -> Result<Box<dyn Camera>> {
+    let camera = AravisCamera::new(AravisOptions::of(&config)?, clock);
+    Ok(Box::new(Proven::new(camera, config)))
+}
 
 /// Longest time for opening: control may be waited for one heartbeat, a dead camera blocks 2.5 s a step.
 const OPEN_LIMIT: Duration = Duration::from_secs(8);

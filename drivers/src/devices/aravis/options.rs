@@ -1,6 +1,8 @@
 //! What the driver must be told about a camera: where it is, who it is, how it is to stream.
 
 use super::wire_format::WireFormat;
+use crate::devices::camera::{CameraConfig, Packing, TriggerKind};
+use crate::error::{DeviceError, ErrorKind, Result};
 use std::time::Duration;
 
 /// How frames are begun.
@@ -99,6 +101,47 @@ impl AravisOptions {
             chunks: true,
             cooler: None,
         }
+    }
+
+    /// The camera of an instrument file.
+    ///
+    /// # Errors
+    /// `Refused`: a pixel format that is not read.
+    pub fn of(camera: &CameraConfig) -> Result<AravisOptions> {
+        let table = camera.aravis.clone().unwrap_or_default();
+        let plain = AravisOptions::new(&camera.name, &camera.port, &camera.serial);
+        let packing = table.packing.unwrap_or(Packing::Words);
+        let format = WireFormat::of(camera.format, packing).ok_or_else(|| {
+            let message =
+                format!("the driver `aravis` reads no {:?} packed as {packing:?}; change `format`", camera.format);
+            DeviceError::new(ErrorKind::Refused, &camera.name, message)
+        })?;
+        let seconds = |s: Option<f64>, plain: Duration| s.map_or(plain, Duration::from_secs_f64);
+        Ok(AravisOptions {
+            width: camera.width,
+            height: camera.height,
+            format,
+            trigger: match table.trigger {
+                Some(TriggerKind::FreeRun) => {
+                    let fastest = 1.0 / camera.frame_interval_s.max(1e-4);
+                    Trigger::FreeRun { frame_rate_hz: table.frame_rate_hz.unwrap_or(fastest) }
+                }
+                _ => Trigger::Software,
+            },
+            readout: Duration::from_secs_f64(camera.readout_s),
+            discard_frames: camera.discard_frames,
+            margin: seconds(table.margin_s, plain.margin),
+            command_limit: seconds(table.command_limit_s, plain.command_limit),
+            packet_size: table.packet_size_bytes.unwrap_or(plain.packet_size),
+            packet_delay_ns: table.packet_delay_ns.unwrap_or(plain.packet_delay_ns),
+            heartbeat: seconds(table.heartbeat_s, plain.heartbeat),
+            socket_buffer_bytes: table.socket_buffer_bytes.map_or(plain.socket_buffer_bytes, |b| b as i32),
+            packet_socket: table.packet_socket.unwrap_or(plain.packet_socket),
+            frame_retention: seconds(table.frame_retention_s, plain.frame_retention),
+            chunks: table.chunks.unwrap_or(plain.chunks),
+            cooler: table.cooler.map(|c| Cooler { feature: c.feature, good: c.good }),
+            ..plain
+        })
     }
 
     /// The device and where it is, for messages.

@@ -1,5 +1,6 @@
 //! What the driver must be told about a camera behind V4L2: control ids, units and latency are declared, never guessed.
 
+use crate::devices::camera::{CameraConfig, V4l2Control, V4l2Table};
 use crate::frame::PixelFormat;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -78,6 +79,12 @@ pub struct V4l2Config {
 
 // === impl ScaledControl ===
 
+impl From<V4l2Control> for ScaledControl {
+    fn from(c: V4l2Control) -> ScaledControl {
+        ScaledControl { id: c.id, scale: c.scale, offset: c.offset.unwrap_or_default() }
+    }
+}
+
 impl ScaledControl {
     /// Nearest raw value to a physical one.
     pub fn raw(self, value: f64) -> i64 {
@@ -118,12 +125,36 @@ impl V4l2Config {
         }
     }
 
+    /// The camera of an instrument file.
+    pub fn of(camera: &CameraConfig) -> V4l2Config {
+        let table = camera.v4l2.clone().unwrap_or_default();
+        let plain = V4l2Config::new(&camera.name, &camera.port, camera.width as u32, camera.height as u32);
+        let gain = table.gain.map(ScaledControl::from).or(plain.gain);
+        V4l2Config {
+            card: table.card.unwrap_or_default(),
+            serial: camera.serial.clone(),
+            format: Some(camera.format),
+            exposure: table.exposure.map_or(plain.exposure, ScaledControl::from),
+            gain: gain.filter(|_| table.has_gain != Some(false)),
+            fixed: table.controls.iter().map(|c| (c.id, c.value.round() as i32)).collect(),
+            settle_frames: camera.discard_frames + 1,
+            readout_s: camera.readout_s,
+            frame_interval_s: camera.frame_interval_s,
+            shortest_s: camera.shortest_s,
+            longest_s: table.longest_frame_s.unwrap_or(camera.longest_s),
+            sum_limit: table.sum_frames.unwrap_or(plain.sum_limit),
+            buffers: table.buffers.unwrap_or(plain.buffers),
+            command_limit: table.command_limit_s.map_or(plain.command_limit, Duration::from_secs_f64),
+            ..plain
+        }
+    }
+
     /// How a total exposure is split: number of frames and time of each; the sentence of refusal otherwise.
     pub fn split(&self, total_s: f64, most_in_words: u32) -> Result<(u16, f64), String> {
         if !total_s.is_finite() || total_s < self.shortest_s - 1e-9 {
             return Err(format!("an exposure of {total_s} s is shorter than the camera's {} s", self.shortest_s));
         }
-        let frames = (total_s / self.longest_s - 1e-9).ceil().max(1.0);
+        let frames = V4l2Table::frames_in(total_s, self.longest_s);
         let most = f64::from(self.sum_limit.max(1)).min(f64::from(most_in_words));
         if frames > most {
             let longest = self.longest_s * most;

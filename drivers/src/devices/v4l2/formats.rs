@@ -6,7 +6,7 @@
 use crate::frame::{PixelFormat, Pixels};
 
 /// A V4L2 format the driver can read, in order of preference.
-const TABLE: [(&[u8; 4], PixelFormat); 24] = [
+const TABLE: [(&[u8; 4], PixelFormat); 25] = [
     (b"RG16", PixelFormat::BayerRggb16),
     (b"GR16", PixelFormat::BayerGrbg16),
     (b"GB16", PixelFormat::BayerGbrg16),
@@ -24,6 +24,7 @@ const TABLE: [(&[u8; 4], PixelFormat); 24] = [
     (b"GBRG", PixelFormat::BayerGbrg8),
     (b"BA81", PixelFormat::BayerBggr8),
     (b"Y16 ", PixelFormat::Mono16),
+    (b"Y14 ", PixelFormat::Mono14),
     (b"Y12 ", PixelFormat::Mono12),
     (b"Y10 ", PixelFormat::Mono10),
     (b"GREY", PixelFormat::Mono8),

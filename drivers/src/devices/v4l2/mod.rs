@@ -26,3 +26,17 @@ mod worker;
 pub use camera::V4l2Camera;
 pub use config::{ScaledControl, V4l2Config};
 pub use flight::Counters;
+
+use super::camera::{CameraConfig, Proven};
+use crate::clock::Clock;
+use crate::contract::Camera;
+use crate::error::Result;
+
+/// A camera as the instrument file says it.
+///
+/// # Errors
+/// None: V4L2 tells at `open` what it offers.
+pub fn make(config: CameraConfig, clock: Clock) -> Result<Box<dyn Camera>> {
+    let camera = V4l2Camera::new(V4l2Config::of(&config), clock);
+    Ok(Box::new(Proven::new(camera, config)))
+}

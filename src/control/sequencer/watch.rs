@@ -1,0 +1,137 @@
+//! Reads the gauges of the interlocks between exposures, keeps their ages, and tells what they mean together.
+
+use super::interlocks::{Gauge, Gauges, Trips, evaluate};
+use super::stage::Stage;
+use crate::archive::RunDir;
+use crate::config::night::Interlocks;
+use crate::control::devices::bench::Bench;
+use crate::control::events::Event;
+use goniod_drivers::error::Result;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::time::Instant;
+
+/// Limit for one gauge: a question that takes longer is no answer.
+const GAUGE_LIMIT: Duration = Duration::from_secs(5);
+
+/// Readings of the light monitor at the start that are averaged into its reference.
+const REFERENCE_READINGS: u32 = 5;
+
+/// Words of a shutter's health that tell of its interlock contact.
+const CONTACT: &str = "interlock";
+
+/// The interlocks of a run under way.
+pub(super) struct Watch {
+    limits: Option<Interlocks>,
+    archive: Arc<RunDir>,
+    gauges: Gauges,
+    begun: Instant,
+    due: Instant,
+    told: Trips,
+    reference: Vec<f64>,
+}
+
+// === impl Watch ===
+
+impl Watch {
+    /// Begins to watch; nothing is read yet. Without limits nothing is ever read.
+    pub(super) fn new(limits: Option<Interlocks>, archive: Arc<RunDir>, now: Instant) -> Watch {
+        Watch {
+            limits,
+            archive,
+            gauges: Gauges::default(),
+            begun: now,
+            due: now,
+            told: Trips::default(),
+            reference: Vec::new(),
+        }
+    }
+
+    /// How often gauges are read; `None` where nothing is watched.
+    pub(super) fn period(&self) -> Option<Duration> {
+        self.limits.as_ref().map(Interlocks::period)
+    }
+
+    /// How long the run may stay suspended.
+    pub(super) fn longest_suspension(&self) -> Duration {
+        self.limits.clone().unwrap_or_default().longest_suspension()
+    }
+
+    /// Reads what is due, then tells what all readings mean now; a change is recorded.
+    pub(super) async fn look(&mut self, bench: &mut Bench, stage: &Stage) -> Trips {
+        let Some(limits) = self.limits.clone() else { return Trips::default() };
+        let now = stage.clock().now();
+        if now >= self.due {
+            self.due = now + limits.period();
+            self.read(bench, &limits, stage).await;
+        }
+        let trips = evaluate(&self.gauges.readings(stage.clock().now()), &limits);
+        if trips != self.told {
+            self.told = trips.clone();
+            let Trips { warnings, alarms } = trips.clone();
+            let (warnings, alarms) = (warnings.into_iter().collect(), alarms.into_iter().collect());
+            stage.recorder().event(Event::Interlocks { warnings, alarms }).await;
+        }
+        trips
+    }
+
+    async fn read(&mut self, bench: &mut Bench, limits: &Interlocks, stage: &Stage) {
+        let clock = stage.clock();
+        self.note(Gauge::LampOn, Some((clock.now() - self.begun).as_secs_f64()), clock.now());
+        if limits.temperature_warning_c.is_some() || limits.temperature_alarm_c.is_some() {
+            for (name, camera) in &mut bench.devices.cameras {
+                let health = clock.timeout(GAUGE_LIMIT, camera.health()).await;
+                match flat(health) {
+                    // A camera without a sensor has no temperature to watch.
+                    Some(health) if health.temperature_c.is_none() => {}
+                    health => {
+                        let value = health.and_then(|h| h.temperature_c);
+                        self.note(Gauge::Temperature(name.clone()), value, clock.now());
+                    }
+                }
+            }
+        }
+        if limits.door {
+            let health = flat(clock.timeout(GAUGE_LIMIT, bench.devices.shutter.health()).await);
+            let open = health.map(|h| f64::from(u8::from(h.warnings.iter().any(|w| w.contains(CONTACT)))));
+            self.note(Gauge::Door, open, clock.now());
+        }
+        if limits.free_disk_warning_mb.is_some() || limits.free_disk_alarm_mb.is_some() {
+            let archive = Arc::clone(&self.archive);
+            let free = tokio::task::spawn_blocking(move || archive.free()).await;
+            let free_mb = free.ok().and_then(std::result::Result::ok).map(|bytes| bytes as f64 / 1e6);
+            self.note(Gauge::FreeDisk, free_mb, clock.now());
+        }
+        self.light(bench, limits, stage).await;
+    }
+
+    /// The light monitor, relative to its first readings after the warm-up.
+    async fn light(&mut self, bench: &mut Bench, limits: &Interlocks, stage: &Stage) {
+        let clock = stage.clock();
+        let Some(monitor) = bench.devices.light_monitor.as_mut() else { return };
+        if clock.now() - self.begun < Duration::from_secs_f64(limits.warm_up_s.max(0.0)) {
+            return;
+        }
+        while (self.reference.len() as u32) < REFERENCE_READINGS {
+            match flat(clock.timeout(GAUGE_LIMIT, monitor.read()).await).filter(|r| !r.saturated && r.power_w > 0.0) {
+                Some(reading) => self.reference.push(reading.power_w),
+                None => return self.note(Gauge::Light, None, clock.now()),
+            }
+        }
+        let reading = flat(clock.timeout(GAUGE_LIMIT, monitor.read()).await).filter(|r| !r.saturated);
+        let reference = self.reference.iter().sum::<f64>() / self.reference.len() as f64;
+        self.note(Gauge::Light, reading.map(|r| r.power_w / reference - 1.0), clock.now());
+    }
+
+    fn note(&mut self, gauge: Gauge, value: Option<f64>, now: Instant) {
+        match value {
+            Some(value) => self.gauges.answered(gauge, value, now),
+            None => self.gauges.missed(gauge, now),
+        }
+    }
+}
+
+/// The answer, where one came in time.
+fn flat<T, E>(answer: std::result::Result<Result<T>, E>) -> Option<T> {
+    answer.ok()?.ok()
+}
