@@ -77,7 +77,8 @@ impl From<DaemonError> for ApiError {
         match e {
             DaemonError::Config(ConfigError::Faulty { issues }) => {
                 let errors = issues.iter().filter(|i| i.severity == Severity::Error).count();
-                let error = format!("the scan cannot be queued: {errors} fault(s) in scan and instrument; correct them");
+                let error =
+                    format!("the scan cannot be queued: {errors} fault(s) in scan and instrument; correct them");
                 ApiError { status, body: Refusal { error, issues: issues.iter().map(Place::of).collect() } }
             }
             e => ApiError::new(status, e.to_string()),

@@ -113,7 +113,9 @@ fn parse(text: &str) -> Result<Known, ApiError> {
             Ok(Known { run: run.to_owned(), seq: (seq + 1) as u64 })
         }
         _ => {
-            let why = format!("`since={text}` is no place in a run; write RUN/NUMBER as the ids of events are, RUN/-1 for all");
+            let why = format!(
+                "`since={text}` is no place in a run; write RUN/NUMBER as the ids of events are, RUN/-1 for all"
+            );
             Err(ApiError::new(StatusCode::BAD_REQUEST, why))
         }
     }
@@ -141,7 +143,12 @@ fn journal(hub: &Hub, run: &str, from: u64) -> Vec<Told> {
     let rows = read.unwrap_or_default();
     let tell = |row: EventRow| {
         let event = serde_json::from_str::<RunEvent>(&row.json).ok()?;
-        Some(Told { run: Some(run.to_owned()), seq: Some(row.seq), utc: UtcMicros(row.utc_us), event: What::Run(event) })
+        Some(Told {
+            run: Some(run.to_owned()),
+            seq: Some(row.seq),
+            utc: UtcMicros(row.utc_us),
+            event: What::Run(event),
+        })
     };
     rows.into_iter().filter(|row| row.seq >= from).filter_map(tell).collect()
 }

@@ -53,7 +53,10 @@ fn add_blocking(hub: &Hub, new: NewEntry) -> Result<Added, ApiError> {
     let (entry, warnings) = match (new.scan, new.resume) {
         (Some(scan), None) => {
             if !scan.is_absolute() {
-                let why = format!("{}: the daemon works in another folder; name the scan by its absolute path", scan.display());
+                let why = format!(
+                    "{}: the daemon works in another folder; name the scan by its absolute path",
+                    scan.display()
+                );
                 return Err(ApiError::new(StatusCode::UNPROCESSABLE_ENTITY, why));
             }
             let (queued, checked) = check_for_queue(hub, &scan, clock)?;

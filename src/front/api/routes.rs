@@ -52,7 +52,10 @@ pub fn router(hub: Shared, read_only: bool) -> Router {
 }
 
 async fn not_found(uri: Uri) -> ApiError {
-    ApiError::new(StatusCode::NOT_FOUND, format!("there is nothing at {}; docs/api.md tells what can be asked", uri.path()))
+    ApiError::new(
+        StatusCode::NOT_FOUND,
+        format!("there is nothing at {}; docs/api.md tells what can be asked", uri.path()),
+    )
 }
 
 fn not_allowed(read_only: bool) -> ApiError {

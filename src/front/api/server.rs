@@ -100,7 +100,8 @@ async fn bind(hub: &Shared, path: &Path) -> Result<UnixListener, DaemonError> {
     let building = path.with_file_name(name);
     // Left over from a start that was cut short.
     let _ = std::fs::remove_file(&building);
-    let listener = UnixListener::bind(&building).map_err(|e| failed(format!("{e}; {hint} (at most 103 bytes long)")))?;
+    let listener =
+        UnixListener::bind(&building).map_err(|e| failed(format!("{e}; {hint} (at most 103 bytes long)")))?;
     std::fs::set_permissions(&building, std::fs::Permissions::from_mode(MODE))
         .and_then(|()| std::fs::rename(&building, path))
         .map_err(|e| failed(format!("{e}; {hint}")))?;

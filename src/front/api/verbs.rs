@@ -3,12 +3,9 @@
 use super::answers::Accepted;
 use super::error::ApiError;
 use super::routes::Shared;
-use crate::config::instrument::Instrument;
-use crate::config::load::load;
-use crate::control::devices::safe::SafeResult;
 use crate::control::sequencer::verbs::{Answer, Verb};
-use crate::front::bench::open_direct;
 use crate::front::daemon::hub::{Current, Hub};
+use crate::front::daemon::safety;
 use axum::Json;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
@@ -77,17 +74,11 @@ async fn make_safe(hub: &Shared) -> Result<String, ApiError> {
         let why = "a run is about to begin or to end; ask again in a moment";
         return Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, why));
     };
-    let failed = |why: String| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, why);
-    let instrument = load::<Instrument>(&hub.facts.instrument, "instrument").map_err(|e| failed(e.to_string()))?.value;
-    let mut bench = open_direct(&instrument, hub.clock).map_err(|e| failed(e.to_string()))?;
-    let reports = bench.make_safe(&instrument.safe_state, hub.clock).await;
-    let words: Vec<String> = reports.iter().map(|r| format!("{} {}", r.device, r.outcome.word())).collect();
-    if reports.iter().any(|r| r.outcome != SafeResult::Confirmed) {
-        return Err(failed(format!("NOT PROVEN SAFE, look at the bench: {}", words.join(", "))));
-    }
+    let made = safety::make_safe(hub).await;
+    let words = made.map_err(|why| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, why))?;
     // Whether the hold is on the disk too matters less than the bench, and is told after it.
     saved?;
-    Ok(format!("the bench is safe: {}; the queue is held", words.join(", ")))
+    Ok(format!("the bench is safe: {words}; the queue is held"))
 }
 
 /// Between runs the queue is meant: `resume` lets it go on, `pause` and `stop` hold it.

@@ -92,7 +92,9 @@ fn list_text(list: &QueueList) -> String {
 
 fn entry_line(entry: &EntryNow) -> String {
     let more = match (&entry.outcome, &entry.reason, &entry.run) {
-        (Some(o), _, Some(run)) => format!("{run}: {}, {} stored, {} missing{}", o.ending, o.stored, o.missing, products(entry)),
+        (Some(o), _, Some(run)) => {
+            format!("{run}: {}, {} stored, {} missing{}", o.ending, o.stored, o.missing, products(entry))
+        }
         (_, Some(reason), _) => reason.clone(),
         (_, _, Some(run)) => run.clone(),
         _ => entry.forecast_s.map_or_else(String::new, |s| format!("{} forecast", duration(s))),

@@ -92,7 +92,10 @@ fn daemon_lines(status: &Status) -> Vec<String> {
     lines.extend(status.held.as_ref().map(|why| format!("the queue is held: {why}")));
     lines.push(format!("{} waiting", status.waiting));
     if status.bad_entries > 0 {
-        lines.push(format!("{} entries of the queue cannot be read; `goniod queue list` names them", status.bad_entries));
+        lines.push(format!(
+            "{} entries of the queue cannot be read; `goniod queue list` names them",
+            status.bad_entries
+        ));
     }
     if let Some(headline) = &status.headline {
         lines.push(String::new());

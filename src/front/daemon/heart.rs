@@ -1,12 +1,12 @@
 //! Signs of life to the service manager. They come from the worker's own task, so a sequencer that blocks its thread
 //! or goes silent past all its deadlines stops them, and the manager starts the daemon again.
 
-use super::hub::{Current, Hub, Phase};
+use super::hub::{Current, Hub};
 use crate::control::sequencer::state::State;
 use sd_notify::NotifyState;
 use std::time::Duration;
 
-/// How often the state is looked at when the manager does not watch.
+/// How often the state is looked at, unless the manager wants signs of life more often.
 const RHYTHM: Duration = Duration::from_secs(5);
 /// Most signs of life in a second.
 const SHORTEST: Duration = Duration::from_millis(100);
@@ -16,11 +16,15 @@ pub fn ready() {
     tell(&[NotifyState::Ready]);
 }
 
+/// Tells the service manager that the daemon is on its way out.
+pub fn stopping() {
+    tell(&[NotifyState::Stopping]);
+}
+
 /// Gives signs of life for as long as it is polled; never ends.
 pub async fn beat(hub: &Hub) {
-    let rhythm = sd_notify::watchdog_enabled().map_or(RHYTHM, |limit| (limit / 3).max(SHORTEST));
+    let rhythm = sd_notify::watchdog_enabled().map_or(RHYTHM, |limit| (limit / 3).clamp(SHORTEST, RHYTHM));
     let mut said = String::new();
-    let mut stopping = false;
     loop {
         let current = hub.current();
         let stuck = current.as_ref().is_some_and(|c| is_stuck(c, hub.clock.elapsed().as_secs_f64()));
@@ -28,10 +32,6 @@ pub async fn beat(hub: &Hub) {
         if words != said {
             tell(&[NotifyState::Status(&words)]);
             said = words;
-        }
-        if !stopping && *hub.phase().borrow() > Phase::Working {
-            tell(&[NotifyState::Stopping]);
-            stopping = true;
         }
         if stuck {
             tracing::error!("the sequencer is silent past all its deadlines");

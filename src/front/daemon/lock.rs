@@ -40,12 +40,7 @@ impl Locks {
         Locks::of_instrument_in(&folder(), path, instrument, who)
     }
 
-    fn of_instrument_in(
-        folder: &Path,
-        path: &Path,
-        instrument: &Instrument,
-        who: &str,
-    ) -> Result<Locks, DaemonError> {
+    fn of_instrument_in(folder: &Path, path: &Path, instrument: &Instrument, who: &str) -> Result<Locks, DaemonError> {
         let locks = Locks { files: Mutex::new(Vec::new()), who: who.to_owned() };
         let real = std::fs::canonicalize(path).unwrap_or_else(|_| plain(path));
         let mut things = vec![(format!("the instrument {}", path.display()), real)];
@@ -91,7 +86,8 @@ impl Locks {
                 let mut holder = String::new();
                 // Whoever holds it may not have signed yet.
                 let _ = Read::take(&mut file, 500).read_to_string(&mut holder);
-                let holder = if holder.trim().is_empty() { "another goniod".to_owned() } else { holder.trim().to_owned() };
+                let holder =
+                    if holder.trim().is_empty() { "another goniod".to_owned() } else { holder.trim().to_owned() };
                 return Err(DaemonError::InUse { what: what.to_owned(), holder, hint });
             }
             Err(TryLockError::Error(source)) => return Err(failed(source)),

@@ -41,7 +41,6 @@ pub async fn serve(place: &Place, instrument: &Instrument, ready: impl FnOnce())
         auto_resume: instrument.auto_resume,
     };
     let hub = Arc::new(Hub::new(facts, Queue::open(&place.state)?, Clock::system()));
-    worker::settle(&hub);
     let servers = Servers::start(&hub, &place.socket, place.listen).await?;
     for signal in signals {
         let signal = signal.map_err(|source| DaemonError::Io { path: Path::new("SIGTERM").to_owned(), source })?;
@@ -63,6 +62,7 @@ async fn end_when_asked(hub: Arc<Hub>, mut signal: Signal) {
     while signal.recv().await.is_some() {
         let first = *hub.phase().borrow() == Phase::Working;
         if first {
+            heart::stopping();
             hub.tell(None, DaemonEvent::Stopping);
         }
         hub.go(if first { Phase::Stopping } else { Phase::Aborting });

@@ -75,7 +75,10 @@ pub fn read(folder: &Path, scan: &QueuedScan, options: &Options) -> Result<Check
     let mut checked = found.map_err(|e| refused(e.to_string()))?;
     for (now, then) in kept(&checked).iter().zip(&scan.files) {
         if (&now.role, &now.sha256) != (&then.role, &then.sha256) {
-            return Err(refused(format!("`{}` ({}) has other content than when the scan was queued", then.name, then.role)));
+            return Err(refused(format!(
+                "`{}` ({}) has other content than when the scan was queued",
+                then.name, then.role
+            )));
         }
     }
     if checked.files.len() != scan.files.len() {

@@ -34,7 +34,11 @@ pub struct Begun {
 ///
 /// # Errors
 /// Every fault of the files, or a scan that cannot be planned.
-pub fn check_for_queue(hub: &Hub, scan: &Path, clock: Clock) -> Result<(QueuedScan, Checked), super::error::DaemonError> {
+pub fn check_for_queue(
+    hub: &Hub,
+    scan: &Path,
+    clock: Clock,
+) -> Result<(QueuedScan, Checked), super::error::DaemonError> {
     let (scan, instrument) = (snapshot::plain(scan), &hub.facts.instrument);
     let checked = check(&scan, instrument, &check_options(clock))?;
     let plan = night::plan(&checked).map_err(|f| super::error::DaemonError::Plan(f.messages.join("; ")))?;
@@ -128,7 +132,10 @@ pub fn check_resumable(hub: &Hub, run: &str) -> Result<(), String> {
     let known = !run.starts_with('.') && run.chars().all(plain);
     let status = if known { status_of(&hub.facts.runs_dir.join(run)) } else { None };
     let Some(status) = status else {
-        return Err(format!("there is no run \"{run}\" in {}; `goniod status` lists them", hub.facts.runs_dir.display()));
+        return Err(format!(
+            "there is no run \"{run}\" in {}; `goniod status` lists them",
+            hub.facts.runs_dir.display()
+        ));
     };
     let queued = hub.queue(|queue| {
         let asks = |e: &Entry| matches!(&e.work, Work::Resume { run: asked } if asked == run);

@@ -26,9 +26,16 @@ const SILENCE_S: f64 = 600.0;
 /// Exposures that may pass without an event.
 const SILENT_EXPOSURES: f64 = 10.0;
 
-/// Works until the daemon is to end; a run under way is then ended well and gone on with at the next start.
+/// Settles what the last daemon left, then works until the daemon is to end; a run under way is then ended well and gone on with at the next start.
 pub async fn work(hub: &Arc<Hub>, locks: &Locks) {
     let mut phase = hub.phase();
+    if settle(hub) {
+        let _bench = hub.bench.lock().await;
+        match super::safety::make_safe(hub).await {
+            Ok(words) => tracing::info!(words, "the bench was made safe after a run that was cut short"),
+            Err(why) => hold(hub, format!("a run was cut short, and the bench could not be made safe: {why}")),
+        }
+    }
     while *phase.borrow_and_update() == Phase::Working {
         match hub.queue(|queue| if queue.held().is_some() { None } else { queue.next().cloned() }) {
             Some(entry) => {
@@ -183,14 +190,14 @@ fn close(hub: &Hub, entry: &Entry, run: &str, outcome: &Outcome, by_us: bool) {
 fn holds(run: &str, ending: &str, outcome: &Outcome) -> Option<String> {
     let message = outcome.message.as_ref().map_or_else(String::new, |m| format!(" ({m})"));
     match outcome.ending {
-        _ if !outcome.is_safe() => Some(format!("after {run} ({ending}) a device did not prove that it is safe: look at the bench")),
+        _ if !outcome.is_safe() => {
+            Some(format!("after {run} ({ending}) a device did not prove that it is safe: look at the bench"))
+        }
         Ending::Completed | Ending::DeviceRefused | Ending::NotReady | Ending::DeviceLost => None,
         Ending::SuspendedTooLong | Ending::Crashed => None,
         Ending::Alarm => Some(format!("an interlock gave the alarm in {run}{message}")),
         Ending::DiskFull | Ending::ArchiveFailed => Some(format!("the archive failed in {run}{message}")),
-        Ending::Stopped | Ending::Aborted | Ending::MadeSafe => {
-            Some(format!("the operator ended {run} ({ending})"))
-        }
+        Ending::Stopped | Ending::Aborted | Ending::MadeSafe => Some(format!("the operator ended {run} ({ending})")),
     }
 }
 
@@ -232,8 +239,10 @@ pub(super) fn change(hub: &Hub, id: u32, change: impl FnOnce(&mut Entry)) {
 }
 
 /// Entries that a crash left as running although their run was over: writes their end. Gives the others a place at
-/// the head of the queue, or, where the instrument does not want that, tells them as failed.
-pub fn settle(hub: &Hub) {
+/// the head of the queue, or, where the instrument does not want that, tells them as failed. True where the bench may
+/// stand as a run left it and no run will take it up.
+fn settle(hub: &Hub) -> bool {
+    let mut left = false;
     let running: Vec<Entry> =
         hub.queue(|q| q.entries().filter(|e| matches!(e.state, EntryState::Running { .. })).cloned().collect());
     for entry in running {
@@ -255,11 +264,16 @@ pub fn settle(hub: &Hub) {
                     e.products = if status.stored > 0 { Products::Pending } else { Products::None };
                 });
             }
-            Some(_) if hub.facts.auto_resume || matches!(entry.work, Work::Resume { .. }) => {}
+            Some(_) if hub.facts.auto_resume || matches!(entry.work, Work::Resume { .. }) => {
+                left |= hub.queue(|queue| queue.held().is_some());
+            }
             Some(_) => {
-                let reason = format!("the daemon ended in the middle of this run; `goniod resume {run}` goes on with it");
+                left = true;
+                let reason =
+                    format!("the daemon ended in the middle of this run; `goniod resume {run}` goes on with it");
                 change(hub, entry.id, |e| e.state = EntryState::Failed { run: Some(run.clone()), reason });
             }
         }
     }
+    left
 }
