@@ -32,7 +32,7 @@ fn a_queue_of_three_is_carried_out_in_order_as_it_was_queued() {
     let lab = quick_lab(false);
     let daemon = Daemon::start(&lab);
     for name in ["one", "two", "three"] {
-        let scan = lab.scan(&format!("{name}.toml"), &scan_text(name, 0.01));
+        let scan = lab.scan(&format!("{name}.toml"), &scan_text(name, false));
         let said = daemon.client(&["queue", "add", &text(&scan)]);
         assert_eq!(said.code, 0, "{}{}", said.out, said.err);
         // What is edited or removed after it was queued changes nothing.
@@ -66,8 +66,8 @@ fn a_queue_of_three_is_carried_out_in_order_as_it_was_queued() {
 fn killed_in_mid_run_it_goes_on_with_nothing_lost() {
     let lab = quick_lab(true);
     let daemon = Daemon::start(&lab);
-    for name in ["long", "next"] {
-        let scan = lab.scan(&format!("{name}.toml"), &scan_text(name, 0.1));
+    for (name, long) in [("long", true), ("next", false)] {
+        let scan = lab.scan(&format!("{name}.toml"), &scan_text(name, long));
         assert_eq!(daemon.client(&["queue", "add", &text(&scan)]).code, 0);
     }
     let stored = |d: &Daemon| d.json("GET", "/v1/status", "")["run"]["stored"].as_u64().unwrap_or(0);
@@ -81,8 +81,8 @@ fn killed_in_mid_run_it_goes_on_with_nothing_lost() {
     assert_eq!(list["entries"][0]["run"], *run, "the same run was gone on with");
     assert_eq!(list["entries"][0]["outcome"]["missing"], 0);
     assert_eq!(list["entries"][0]["outcome"]["planned"], 0);
-    let events = fs::read_dir(lab.path("runs")).unwrap().flatten().filter(|e| e.path().join("plan.toml").exists());
-    assert_eq!(events.count(), 2, "no run was begun twice");
+    let runs = fs::read_dir(lab.path("runs")).unwrap().flatten().filter(|e| e.path().join("plan.toml").exists());
+    assert_eq!(runs.count(), 2, "no run was begun twice");
     assert_eq!(lab.goniod(&["verify", &text(&lab.path("runs").join(&run))]).code, 0);
     assert_eq!(daemon.end(), Some(0));
 }
@@ -91,7 +91,7 @@ fn killed_in_mid_run_it_goes_on_with_nothing_lost() {
 fn a_second_daemon_and_a_run_beside_it_are_refused_with_the_holder() {
     let lab = quick_lab(false);
     let daemon = Daemon::start(&lab);
-    let scan = text(&lab.scan("a.toml", &scan_text("a", 0.01)));
+    let scan = text(&lab.scan("a.toml", &scan_text("a", false)));
     let instrument = text(&lab.instrument());
     let (other, state) = (text(&lab.path("other.sock")), text(&lab.path("other-state")));
     let holder = format!("process {} (goniod serve", daemon.pid());
@@ -119,7 +119,7 @@ fn verbs_reach_the_run_or_are_refused_with_the_reason() {
     let state = |d: &Daemon| d.json("GET", "/v1/status", "")["run"]["state"].as_str().unwrap_or("none").to_owned();
     let refused = daemon.client(&["pause"]);
     assert_eq!(refused.code, 0, "between runs a pause holds the queue: {}", refused.err);
-    let scan = text(&lab.scan("long.toml", &scan_text("long", 0.5)));
+    let scan = text(&lab.scan("long.toml", &scan_text("long", true)));
     assert_eq!(daemon.client(&["queue", "add", &scan]).code, 0);
     assert_eq!(states(&daemon), [(1, "waiting".to_owned())], "held");
     assert_eq!(daemon.client(&["resume"]).code, 0);
@@ -158,7 +158,7 @@ fn verbs_reach_the_run_or_are_refused_with_the_reason() {
 fn ended_by_sigterm_the_run_is_stopped_well_and_gone_on_with() {
     let lab = quick_lab(true);
     let daemon = Daemon::start(&lab);
-    let scan = text(&lab.scan("long.toml", &scan_text("long", 0.1)));
+    let scan = text(&lab.scan("long.toml", &scan_text("long", true)));
     assert_eq!(daemon.client(&["queue", "add", &scan]).code, 0);
     // A client that listens and one that hangs on without a word keep nobody from ending.
     let mut listener = UnixStream::connect(&daemon.socket).unwrap();
@@ -179,14 +179,8 @@ fn ended_by_sigterm_the_run_is_stopped_well_and_gone_on_with() {
     assert_eq!(daemon.end(), Some(0));
 }
 
-#[test]
-fn events_are_told_from_any_place_of_the_journal_on() {
-    let lab = quick_lab(false);
-    let daemon = Daemon::start(&lab);
-    let scan = text(&lab.scan("a.toml", &scan_text("a", 0.01)));
-    assert_eq!(daemon.client(&["queue", "add", &scan]).code, 0);
-    all_done(&daemon, 1);
-    let run = daemon.json("GET", "/v1/queue", "")["entries"][0]["run"].as_str().unwrap().to_owned();
+/// The events of a run that is over, from the whole journal and from its middle.
+fn events_are_told_from_any_place_of_the_journal(daemon: &Daemon, run: &str) {
     let whole = daemon.listen(&format!("?since={run}/-1"), "event: run-ended");
     assert!(whole.contains("event: run-started"), "{whole}");
     let ids: Vec<&str> = whole.lines().filter_map(|l| l.strip_prefix("id: ")).collect();
@@ -194,7 +188,6 @@ fn events_are_told_from_any_place_of_the_journal_on() {
     let rest = daemon.listen(&format!("?since={middle}"), "event: run-ended");
     let rest_ids: Vec<&str> = rest.lines().filter_map(|l| l.strip_prefix("id: ")).collect();
     assert_eq!(rest_ids, ids[ids.len() / 2 + 1..], "each once, in order");
-    assert_eq!(daemon.end(), Some(0));
 }
 
 #[test]
@@ -202,7 +195,7 @@ fn what_is_no_request_is_refused_and_harms_nobody() {
     let lab = quick_lab(false);
     let daemon = Daemon::start(&lab);
     let ask = |method: &str, path: &str, body: &str| http(&daemon.socket, method, path, body);
-    let bad = lab.scan("bad.toml", &scan_text("bad", 0.01).replace("ratio = 8.0", "ratio = -1.0\nwhat = 2"));
+    let bad = lab.scan("bad.toml", &scan_text("bad", false).replace("ratio = 8.0", "ratio = -1.0\nwhat = 2"));
     let huge = format!("{{\"scan\": \"{}\"}}", "x".repeat(200_000));
     let scan = |path: &Path| format!("{{\"scan\": \"{}\"}}", text(path));
     for (method, path, body, status, words) in [
@@ -285,14 +278,15 @@ fn without_a_daemon_one_sentence_says_so() {
 }
 
 #[test]
-fn the_answers_have_the_shape_they_had() {
+fn answers_have_the_shape_they_had_and_events_are_told_from_any_place() {
     let lab = quick_lab(false);
     let daemon = Daemon::start(&lab);
-    let scan = text(&lab.scan("a.toml", &scan_text("a", 0.01)));
+    let scan = text(&lab.scan("a.toml", &scan_text("a", false)));
     let added = daemon.json("POST", "/v1/queue", &format!("{{\"scan\": \"{scan}\"}}"));
     all_done(&daemon, 1);
     daemon.until("products are made", || daemon.json("GET", "/v1/status", "")["headline"].is_object());
     let run = daemon.json("GET", "/v1/queue", "")["entries"][0]["run"].as_str().unwrap().to_owned();
+    events_are_told_from_any_place_of_the_journal(&daemon, &run);
     let mut shapes = format!("POST /v1/queue\n{}\n", served::shape(&added));
     for path in ["/v1/status", "/v1/queue", "/v1/runs", &format!("/v1/runs/{run}")] {
         let told = daemon.json("GET", path, "");

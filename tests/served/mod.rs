@@ -27,8 +27,8 @@ pub struct Daemon<'a> {
 pub fn quick_lab(auto_resume: bool) -> Lab {
     let lab = Lab::small();
     let quick = [
-        ("speed_deg_per_s = 20.0", "speed_deg_per_s = 400.0"),
-        ("acceleration_deg_per_s2 = 40.0", "acceleration_deg_per_s2 = 4000.0"),
+        ("speed_deg_per_s = 20.0", "speed_deg_per_s = 140.0"),
+        ("acceleration_deg_per_s2 = 40.0", "acceleration_deg_per_s2 = 1000.0"),
         ("settle_s = 0.2", "settle_s = 0.0"),
         (
             "runs_dir = \"runs\"",
@@ -36,21 +36,30 @@ pub fn quick_lab(auto_resume: bool) -> Lab {
         ),
     ];
     lab.edit("instrument.sim.toml", &quick, true);
+    // Two axes and the shutter are enough, and move nobody far.
+    let text = fs::read_to_string(lab.instrument()).unwrap();
+    let place = |words: &str| text.find(words).unwrap();
+    let tables = [&text[..place("[holder.changer]")], &text[place("[filter_wheel]")..place("[reference.reflection]")]];
+    let safe = "[reference]\n\n[safe_state]\norder = [\"shutter\", \"cameras\"]\nlimit_s = 20.0\n";
+    let text = tables.concat() + safe;
+    fs::write(lab.instrument(), text).unwrap();
     lab
 }
 
-/// A scan of one direction and one band, its longest exposure `longest_s`.
-pub fn scan_text(name: &str, longest_s: f64) -> String {
+/// A scan of one band and, with `long`, of four directions with exposures of 1 s; else over within seconds.
+pub fn scan_text(name: &str, long: bool) -> String {
+    let (directions, longest_s) =
+        if long { ("[[0, 180], [10, 180], [20, 180], [30, 180]]", 1.0) } else { ("[[0, 180]]", 0.008) };
     format!(
         r#"name = "{name}"
 [sample]
 thickness_mm = 4.0
 simulated = "../sim/samples/rough_glass.toml"
 [incidence]
-directions = [[0, 180]]
+directions = {directions}
 sides = ["transmission-front"]
 [bands]
-use = ["f5"]
+use = ["f1"]
 [exposure]
 policy = "ladder"
 ratio = 8.0
@@ -58,6 +67,8 @@ shortest_s = 0.001
 longest_s = {longest_s:?}
 [dark]
 frames = 1
+[reference]
+mode = "irradiance"
 [products]
 formats = ["hdf5"]
 "#
