@@ -3,12 +3,14 @@
 //!
 //! - [`bench`]: a whole bench from its files; [`truth`]: its optics, samples and the true answers
 //! - [`firmware`]: devices as state machines; [`front`]: how they reach a link; [`twins`]: all of them together
+//! - [`faults`]: what may go wrong, as a seeded plan
 //! - [`gige`]: a GigE Vision camera on loopback, for the real driver
 //! - [`camera`], [`stream`]: cameras with their latency and queues
 //! - [`paint`], [`oracle`]: the true state in the pixels, written and read; [`pose`]: what it consists of
 
 pub mod bench;
 pub mod camera;
+pub mod faults;
 pub mod firmware;
 pub mod front;
 pub mod gige;

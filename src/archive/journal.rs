@@ -158,6 +158,21 @@ impl Journal {
         self.transaction(|tx| tx.execute("UPDATE steps SET state = 'planned', reason = '' WHERE state = 'missing'", []))
     }
 
+    /// Puts every step of a view back to planned and forgets its frames, so that the view is taken again as a whole; gives
+    /// the number of frames forgotten. Their files stay until the new frames replace them.
+    ///
+    /// # Errors
+    /// [`ArchiveError::Journal`] and the disk's kinds.
+    pub fn plan_view_again(&mut self, view: u32, event: &EventRow) -> Result<usize> {
+        self.transaction(|tx| {
+            let of_view = "DELETE FROM frames WHERE step IN (SELECT number FROM steps WHERE view = ?1)";
+            let forgotten = tx.execute(of_view, [view])?;
+            tx.execute("UPDATE steps SET state = 'planned', reason = '' WHERE view = ?1", [view])?;
+            insert_event(tx, event)?;
+            Ok(forgotten)
+        })
+    }
+
     /// Commits one event.
     ///
     /// # Errors

@@ -2,7 +2,7 @@
 
 use super::devices::safe::SafeResult;
 use super::frames::guard::Rejection;
-use super::sequencer::interlocks::{Gauge, Trip};
+use super::sequencer::interlocks::Trip;
 use super::sequencer::state::{Ending, State};
 use super::sequencer::verbs::Verb;
 use goniod_drivers::clock::UtcMicros;
@@ -102,14 +102,21 @@ pub enum Event {
         /// Conditions that end the run.
         alarms: Vec<Trip>,
     },
-    /// A gauge was read, and the reading matters to the products.
-    Gauged {
-        /// What was read.
-        gauge: Gauge,
-        /// View about to be taken, where there is one.
+    /// The light monitor was read.
+    LightRead {
+        /// View whose bracket begins or ends; absent between brackets.
         view: Option<u32>,
-        /// The value.
-        value: f64,
+        /// Optical power, watts.
+        power_w: f64,
+        /// Its standard uncertainty from the scatter of the readings that it is the mean of, watts.
+        u_w: f64,
+    },
+    /// The lamp drifted within a bracket: its frames are thrown away and the bracket is taken again.
+    ViewRetaken {
+        /// View of the plan.
+        view: u32,
+        /// Relative change of the light monitor from its beginning to its end.
+        change: f64,
     },
     /// The archive gave an error.
     ArchiveError {
@@ -191,7 +198,8 @@ impl Event {
             Event::DeviceError { .. } => "device-error",
             Event::Asked { .. } => "asked",
             Event::Interlocks { .. } => "interlocks",
-            Event::Gauged { .. } => "gauged",
+            Event::LightRead { .. } => "light-read",
+            Event::ViewRetaken { .. } => "view-retaken",
             Event::ArchiveError { .. } => "archive-error",
             Event::Progress { .. } => "progress",
             Event::SafeState { .. } => "safe-state",

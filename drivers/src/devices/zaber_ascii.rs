@@ -69,7 +69,7 @@ impl ZaberAxis {
     }
 
     fn scale(&self) -> Result<Scale> {
-        self.scale.ok_or_else(|| self.error(ErrorKind::Refused, "the axis is not open; open it first"))
+        self.scale.ok_or_else(|| self.error(ErrorKind::Lost, "the axis is not open; open it first"))
     }
 
     /// Reply of device (`axis` 0) or axis, accepted or rejected.

@@ -127,13 +127,20 @@ impl Fw212cTwin {
             WheelFault::PositionEmpty => self.position_empty = true,
             WheelFault::LostEdge => self.lost_edge = true,
             WheelFault::Button(steps) => {
-                self.turn(f64::from(steps), now);
+                // As with any turn, requests wait until it has arrived.
+                self.deaf_until = Some(self.turn(f64::from(steps), now));
             }
             WheelFault::PlaceCount(places) => self.spec.places = places,
             WheelFault::Restart => self.restart(now),
             WheelFault::RestartOnCommand => self.restart_on_command = true,
             WheelFault::Jam(jammed) => self.jammed = jammed,
         }
+    }
+
+    /// True while an injected fault waits for its occasion.
+    pub fn faults_wait(&self) -> bool {
+        let flags = [self.prompt_early, self.position_empty, self.lost_edge, self.restart_on_command];
+        self.port.faults_wait() || flags.contains(&true)
     }
 
     /// Place number of a track position.

@@ -29,6 +29,11 @@ impl PromptPort {
         self.outbox.inject(fault);
     }
 
+    /// True while a fault waits for its occasion.
+    pub fn faults_wait(&self) -> bool {
+        self.mute_echo || self.outbox.faults_wait()
+    }
+
     /// Takes a byte; gives the request when it was the CR.
     pub fn byte(&mut self, byte: u8, now: Instant) -> Option<String> {
         if !self.mute_echo {

@@ -111,6 +111,11 @@ impl Sc10Twin {
         }
     }
 
+    /// True while an injected fault waits for its occasion.
+    pub fn faults_wait(&self) -> bool {
+        self.port.faults_wait() || self.prompt_lost || self.swallow || self.restart_on_command
+    }
+
     fn toggle(&mut self, now: Instant) {
         self.enabled = !self.enabled && !self.interlock;
         self.follow(now);

@@ -170,6 +170,12 @@ impl ZaberChainTwin {
         }
     }
 
+    /// True while an injected fault waits for its occasion.
+    pub fn faults_wait(&self) -> bool {
+        let axes = self.devices.iter().any(|s| s.axis.stall_at.is_some() || s.axis.never_arrives);
+        axes || self.outbox.faults_wait() || !self.shapes.is_empty() || self.again > 0 || self.restart_on_command
+    }
+
     fn stage(&self, device: u8) -> Option<&Stage> {
         self.devices.get(usize::from(device).checked_sub(1)?)
     }

@@ -85,6 +85,12 @@ impl Memory {
         room.put(FrameEntry { place, frame, row });
     }
 
+    /// Forgets the bracket with the frame kept back: its view is taken again.
+    pub(super) fn forget_bracket(&mut self) {
+        (self.held, self.doubted, self.bracket_view) = (None, None, None);
+        self.bracket = Bracket::default();
+    }
+
     /// Doubts the held frame where it is what the looks at the next one contradict; tells its step and the contradiction.
     pub(super) fn doubt_held(&mut self, view: &View, error: &AcquireError) -> Option<(u32, Rejection)> {
         let AcquireError::Rejected { last: reason @ Rejection::Bracket(contradiction), .. } = error else {

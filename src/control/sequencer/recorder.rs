@@ -65,6 +65,7 @@ enum Entry {
     Event(UtcMicros, Event),
     Frame(UtcMicros, Arc<FrameEntry>, Option<OwnedSemaphorePermit>),
     Missing { utc: UtcMicros, step: u32, reason: String, event: Event },
+    Retake(UtcMicros, u32, Event),
     Flush(oneshot::Sender<()>),
 }
 
@@ -140,6 +141,11 @@ impl Recorder {
         self.put(Entry::Missing { utc: self.clock.utc(), step, reason, event }).await;
     }
 
+    /// Has the frames of a view forgotten and its steps planned again.
+    pub async fn retake(&self, view: u32, change: f64) {
+        self.put(Entry::Retake(self.clock.utc(), view, Event::ViewRetaken { view, change })).await;
+    }
+
     /// Waits until everything in the queue is written.
     pub async fn flush(&self) {
         let (done, flushed) = oneshot::channel();
@@ -186,6 +192,7 @@ impl Writer {
                 Entry::Event(utc, event) => self.event(utc, event).await,
                 Entry::Frame(utc, entry, permit) => self.frame(utc, entry, permit).await,
                 Entry::Missing { utc, step, reason, event } => self.missing(utc, step, reason, event).await,
+                Entry::Retake(utc, view, event) => self.retake(utc, view, event).await,
                 Entry::Flush(done) => drop(done),
             }
         }
@@ -242,6 +249,24 @@ impl Writer {
             self.progress(utc);
         }
         self.note(written.err());
+    }
+
+    async fn retake(&mut self, utc: UtcMicros, view: u32, event: Event) {
+        let row = row(self.seq, utc, &event);
+        let again = move |run: &RunDir| {
+            run.with(|journal| {
+                journal.plan_view_again(view, &row)?;
+                journal.summary()
+            })
+        };
+        match self.persist(again).await {
+            Ok(summary) => {
+                self.standing.send_modify(|s| s.summary = summary);
+                self.tell(utc, event);
+                self.progress(utc);
+            }
+            Err(e) => self.note(Some(e)),
+        }
     }
 
     /// Does `work` on a blocking thread; while the disk is full it is done again and again, as long as there is patience.

@@ -16,7 +16,7 @@ use crate::config::night::Interlocks;
 use crate::control::devices::bench::{Bench, DeviceId};
 use crate::control::devices::safe::{SafeReport, SafeResult};
 use crate::control::events::{Event, EventBus};
-use crate::control::plan::{Plan, Step, View};
+use crate::control::plan::{Plan, Step, Subject, View};
 use futures_util::FutureExt;
 use goniod_drivers::clock::Clock;
 use goniod_drivers::contract::ShutterState;
@@ -29,6 +29,9 @@ use tokio::time::Instant;
 
 /// How often a suspended run looks whether its reasons are gone, where the instrument says no other period.
 const LOOK: Duration = Duration::from_secs(5);
+
+/// How often a bracket is taken again because the lamp drifted; after that it is kept, its drift on record.
+const MOST_RETAKES: u32 = 2;
 
 /// Verbs that may wait for the sequencer.
 const VERBS: usize = 16;
@@ -181,17 +184,50 @@ impl Night<'_> {
         self.stage.go(Input::Ready).await;
         let plan = self.job.plan;
         let views: BTreeMap<u32, &View> = plan.views.iter().map(|view| (view.id, view)).collect();
-        for step in plan.steps.iter().filter(|step| to_do.contains(&step.number)) {
-            let Some(view) = views.get(&step.view) else {
-                let reason = "the plan has no such view".to_owned();
-                self.stage.recorder().missing(step.number, step.view, reason).await;
-                continue;
+        for bracket in plan.steps.chunk_by(|a, b| a.view == b.view) {
+            let todo: Vec<&Step> = bracket.iter().filter(|step| to_do.contains(&step.number)).collect();
+            let Some(first) = todo.first() else { continue };
+            let ended = match views.get(&first.view) {
+                Some(view) => self.bracket(view, bracket, todo).await,
+                None => {
+                    let reason = "the plan has no such view";
+                    for step in todo {
+                        self.stage.recorder().missing(step.number, step.view, reason.to_owned()).await;
+                    }
+                    None
+                }
             };
-            if let Some(ended) = self.until_done(view, step).await {
+            if let Some(ended) = ended {
                 return ended;
             }
         }
         (Ending::Completed, None)
+    }
+
+    /// The steps `todo` of a bracket; where the lamp drifts too far meanwhile, the whole bracket again, a bounded number
+    /// of times. `Some` when the run must end.
+    async fn bracket(&mut self, view: &View, all: &[Step], mut todo: Vec<&Step>) -> Option<Ended> {
+        for retakes in 0.. {
+            if let Some(ended) = self.between().await {
+                return Some(ended);
+            }
+            let before = self.watch.level(self.bench, self.stage, Some(view.id)).await;
+            for step in &todo {
+                if let Some(ended) = self.until_done(view, step).await {
+                    return Some(ended);
+                }
+            }
+            let Some((limit, before)) = self.watch.drift_per_view().zip(before) else { break };
+            let after = self.watch.level(self.bench, self.stage, Some(view.id)).await;
+            let change = after.map_or(0.0, |after| after / before - 1.0);
+            if change.abs() <= limit || retakes == MOST_RETAKES || view.subject == Subject::Dark {
+                break;
+            }
+            self.memory.forget_bracket();
+            self.stage.recorder().retake(view.id, change).await;
+            todo = all.iter().collect();
+        }
+        None
     }
 
     /// One step, again after each interruption, until it is stored or missing; `Some` when the run must end.

@@ -14,8 +14,11 @@ use tokio::time::Instant;
 /// Limit for one gauge: a question that takes longer is no answer.
 const GAUGE_LIMIT: Duration = Duration::from_secs(5);
 
-/// Readings of the light monitor at the start that are averaged into its reference.
-const REFERENCE_READINGS: u32 = 5;
+/// Limit for opening the light monitor.
+const OPEN_LIMIT: Duration = Duration::from_secs(15);
+
+/// Readings of the light monitor that a level is the mean of.
+const LIGHT_READINGS: usize = 4;
 
 /// Words of a shutter's health that tell of its interlock contact.
 const CONTACT: &str = "interlock";
@@ -28,7 +31,10 @@ pub(super) struct Watch {
     begun: Instant,
     due: Instant,
     told: Trips,
-    reference: Vec<f64>,
+    /// The first level of the light monitor.
+    reference: Option<f64>,
+    /// The light monitor is open.
+    open: bool,
 }
 
 // === impl Watch ===
@@ -43,13 +49,19 @@ impl Watch {
             begun: now,
             due: now,
             told: Trips::default(),
-            reference: Vec::new(),
+            reference: None,
+            open: false,
         }
     }
 
     /// How often gauges are read; `None` where nothing is watched.
     pub(super) fn period(&self) -> Option<Duration> {
         self.limits.as_ref().map(Interlocks::period)
+    }
+
+    /// Largest relative change of the lamp within one bracket.
+    pub(super) fn drift_per_view(&self) -> Option<f64> {
+        self.limits.as_ref()?.drift_per_view
     }
 
     /// How long the run may stay suspended.
@@ -102,25 +114,42 @@ impl Watch {
             let free_mb = free.ok().and_then(std::result::Result::ok).map(|bytes| bytes as f64 / 1e6);
             self.note(Gauge::FreeDisk, free_mb, clock.now());
         }
-        self.light(bench, limits, stage).await;
+        // The level at the end of the warm-up is the one to compare with.
+        if clock.now() - self.begun >= Duration::from_secs_f64(limits.warm_up_s.max(0.0)) {
+            self.level(bench, stage, None).await;
+        }
     }
 
-    /// The light monitor, relative to its first readings after the warm-up.
-    async fn light(&mut self, bench: &mut Bench, limits: &Interlocks, stage: &Stage) {
+    /// Reads the light monitor, where there is one, and records the level; a level that cannot be had is silence.
+    /// Opened anew after each silence. Watts.
+    pub(super) async fn level(&mut self, bench: &mut Bench, stage: &Stage, view: Option<u32>) -> Option<f64> {
         let clock = stage.clock();
-        let Some(monitor) = bench.devices.light_monitor.as_mut() else { return };
-        if clock.now() - self.begun < Duration::from_secs_f64(limits.warm_up_s.max(0.0)) {
-            return;
+        let monitor = bench.devices.light_monitor.as_mut()?;
+        if !self.open && flat(clock.timeout(OPEN_LIMIT, monitor.open()).await).is_none() {
+            self.note(Gauge::Light, None, clock.now());
+            return None;
         }
-        while (self.reference.len() as u32) < REFERENCE_READINGS {
-            match flat(clock.timeout(GAUGE_LIMIT, monitor.read()).await).filter(|r| !r.saturated && r.power_w > 0.0) {
-                Some(reading) => self.reference.push(reading.power_w),
-                None => return self.note(Gauge::Light, None, clock.now()),
+        self.open = true;
+        let mut powers = Vec::with_capacity(LIGHT_READINGS);
+        for _ in 0..LIGHT_READINGS {
+            let reading = flat(clock.timeout(GAUGE_LIMIT, monitor.read()).await);
+            match reading.filter(|r| !r.saturated && r.power_w.is_finite() && r.power_w > 0.0) {
+                Some(reading) => powers.push(reading.power_w),
+                None => {
+                    self.open = false;
+                    self.note(Gauge::Light, None, clock.now());
+                    return None;
+                }
             }
         }
-        let reading = flat(clock.timeout(GAUGE_LIMIT, monitor.read()).await).filter(|r| !r.saturated);
-        let reference = self.reference.iter().sum::<f64>() / self.reference.len() as f64;
-        self.note(Gauge::Light, reading.map(|r| r.power_w / reference - 1.0), clock.now());
+        let n = powers.len() as f64;
+        let power_w = powers.iter().sum::<f64>() / n;
+        let squares: f64 = powers.iter().map(|p| (p - power_w).powi(2)).sum();
+        let u_w = (squares / (n - 1.0) / n).sqrt();
+        stage.recorder().event(Event::LightRead { view, power_w, u_w }).await;
+        let reference = *self.reference.get_or_insert(power_w);
+        self.note(Gauge::Light, Some(power_w / reference - 1.0), clock.now());
+        Some(power_w)
     }
 
     fn note(&mut self, gauge: Gauge, value: Option<f64>, now: Instant) {

@@ -15,6 +15,7 @@ use crate::front::resume::{Unfinished, newest_unfinished};
 use crate::products::make::{Made, make_all};
 use goniod_drivers::clock::Clock;
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use tokio::sync::mpsc;
 
@@ -49,6 +50,12 @@ pub struct Ran {
     forecast_s: f64,
     took_s: f64,
     products: Vec<PathBuf>,
+    /// Faults that really happened on a simulated bench, by kind.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    faults: BTreeMap<String, u32>,
+    /// What the oracle says where faults happened.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    oracle: Vec<String>,
 }
 
 /// Runs the command.
@@ -121,8 +128,9 @@ pub async fn carry_out(
     let events = EventBus::default();
     let progress = Progress::begin(&night.plan, events.subscribe(), output.json);
     let (sender, verbs) = mpsc::channel(VERBS);
-    listen_to_signals(sender)
+    listen_to_signals(sender.clone())
         .map_err(|e| Failure::new(Exit::Failed, format!("SIGINT and SIGTERM cannot be listened to: {e}")))?;
+    let fired = opened.begin_faults(night.plan.forecast.total_s(), sender, clock);
     let outcome = night::measure(checked, &night, opened, clock, verbs, &events).await;
     progress.end();
     let outcome = outcome?;
@@ -138,6 +146,8 @@ pub async fn carry_out(
         forecast_s: night.plan.forecast.total_s(),
         took_s: clock.elapsed().as_secs_f64(),
         products: Vec::new(),
+        faults: fired.map(|fired| fired()).unwrap_or_default(),
+        oracle: Vec::new(),
     };
     Ok((ran, exit_of(&outcome)))
 }
@@ -145,6 +155,7 @@ pub async fn carry_out(
 /// Makes the products of a run that has frames and says how everything went.
 pub fn finish(mut ran: Ran, exit: Exit, products: bool, output: &Output) -> Outcome {
     let mut made: Option<Made> = None;
+    let exit = if ran.faults.is_empty() { exit } else { judged(&mut ran, exit)? };
     if products && ran.stored > 0 && matches!(exit, Exit::Done | Exit::Incomplete) {
         let run = super::input::open_run(&ran.run)?;
         let result = make_all(&run).map_err(|e| Failure::new(Exit::Storage, e.to_string()))?;
@@ -152,6 +163,20 @@ pub fn finish(mut ran: Ran, exit: Exit, products: bool, output: &Output) -> Outc
         made = Some(result);
     }
     output.result(exit, &ran, || text(&ran, made.as_ref()))
+}
+
+/// Asks the oracle about a run with faults: one wrong label is damage.
+#[cfg(feature = "sim")]
+fn judged(ran: &mut Ran, exit: Exit) -> Result<Exit, Failure> {
+    let verdict = crate::front::oracle::judge(&ran.run).map_err(|e| Failure::new(Exit::Storage, e.to_string()))?;
+    ran.oracle = verdict.lines();
+    Ok(if verdict.is_clean() { exit } else { Exit::Damaged })
+}
+
+/// Without a simulated bench no fault happens on purpose.
+#[cfg(not(feature = "sim"))]
+fn judged(_: &mut Ran, exit: Exit) -> Result<Exit, Failure> {
+    Ok(exit)
 }
 
 fn text(ran: &Ran, made: Option<&Made>) -> String {
@@ -166,6 +191,11 @@ fn text(ran: &Ran, made: Option<&Made>) -> String {
     )];
     lines.push(format!("took {}, forecast {}", duration(ran.took_s), duration(ran.forecast_s)));
     lines.extend(ran.message.clone());
+    if !ran.faults.is_empty() {
+        let kinds: Vec<String> = ran.faults.iter().map(|(kind, n)| format!("{kind} {n}")).collect();
+        lines.push(format!("{} faults: {}", ran.faults.values().sum::<u32>(), kinds.join(", ")));
+    }
+    lines.extend(ran.oracle.iter().cloned());
     if let Some(made) = made {
         lines.push(String::new());
         lines.extend(made.headline.iter().chain(&made.not_made).cloned());

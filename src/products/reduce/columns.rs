@@ -130,7 +130,7 @@ impl Maker<'_> {
         let what = format!("band `{}`, channel {}", reading.band, reading.channel);
         match self.run.document.scan.reference.mode {
             ReferenceMode::Irradiance => {
-                absolute(sample, &self.absolute_terms(pose, reading)).map(Some).map_err(engine(what))
+                absolute(sample, &self.absolute_terms(pose, reading, view)).map(Some).map_err(engine(what))
             }
             ReferenceMode::Diffuser => {
                 let Some((reference, terms)) = self.reference(pose, reading, view)? else { return Ok(None) };
@@ -177,6 +177,9 @@ impl Maker<'_> {
             .filter_map(|v| Some((v.utc_us?, v.patches.as_ref()?)))
             .collect();
         known.sort_by_key(|(t, _)| *t);
+        let largest = |a: Option<f64>, b: f64| Some(a.map_or(b, |a| a.max(b)));
+        let references = self.views.views.iter().filter(|v| v.view.subject == wanted);
+        let scaled = references.filter_map(|v| v.drift_relative_u).fold(None, largest);
         let Some(reference) = at_time(&known, view.utc_us.unwrap_or_default())? else { return Ok(None) };
         let terms = RatioTerms {
             reference_bsdf: value / std::f64::consts::PI,
@@ -184,12 +187,16 @@ impl Maker<'_> {
             reference_theta: standard.theta_deg.to_radians(),
             theta: pose.incident.theta,
             theta_u: instrument.holder.tilt.tolerance_deg.to_radians() / 3.0_f64.sqrt(),
-            drift_relative_u: instrument.lamp.drift_relative_uncertainty,
+            // Where the light monitor told the lamp's level, what is left is the uncertainty of both scalings.
+            drift_relative_u: match (view.drift_relative_u, scaled) {
+                (Some(sample), Some(reference)) => sample.hypot(reference),
+                _ => instrument.lamp.drift_relative_uncertainty,
+            },
         };
         Ok(Some((reference, terms)))
     }
 
-    fn absolute_terms(&self, pose: Pose, reading: &Reading) -> AbsoluteTerms {
+    fn absolute_terms(&self, pose: Pose, reading: &Reading, view: &ReducedView) -> AbsoluteTerms {
         let instrument = &self.run.document.instrument;
         let calibration = self.run.document.calibrations.get(&reading.camera);
         let scale = calibration.map_or(0.0, |c| c.responsivity.scale_relative_uncertainty);
@@ -202,7 +209,7 @@ impl Maker<'_> {
             vignetting_relative_u: calibration.map_or(0.0, |c| c.vignetting.relative_uncertainty),
             theta: pose.incident.theta,
             theta_u: instrument.holder.tilt.tolerance_deg.to_radians() / 3.0_f64.sqrt(),
-            drift_relative_u: instrument.lamp.drift_relative_uncertainty,
+            drift_relative_u: view.drift_relative_u.unwrap_or(instrument.lamp.drift_relative_uncertainty),
         }
     }
 

@@ -1,5 +1,6 @@
 //! What a run kept, read back: plan document, spectra, journal.
 
+use super::light::{DriftFactor, LightCurve};
 use crate::archive::rows::FrameRow;
 use crate::archive::rundir::PLAN;
 use crate::archive::{ArchiveError, RunDir};
@@ -22,6 +23,10 @@ pub struct Run {
     pub document: RunDocument,
     /// Stored frames by step number.
     pub frames: BTreeMap<u32, FrameRow>,
+    /// The lamp's level through the night; empty without a light monitor.
+    pub light: LightCurve,
+    /// Begin of the first and end of the last stored frame of each view, microseconds since 1970.
+    times: BTreeMap<u32, (i64, i64)>,
     /// Spectra of the instrument.
     pub spectra: InstrumentSpectra,
     /// Standard spectra.
@@ -70,16 +75,35 @@ impl Run {
         let text = dir.plan_toml()?;
         let document: RunDocument = toml::from_str(&text)
             .map_err(|e| ProductError::Plan { path: path.join(PLAN), message: e.message().to_owned() })?;
-        let frames = dir.with(|journal| journal.frames())?.into_iter().map(|f| (f.step, f)).collect();
+        let (frames, events) = dir.with(|journal| Ok((journal.frames()?, journal.events()?)))?;
+        let frames: BTreeMap<u32, FrameRow> = frames.into_iter().map(|f| (f.step, f)).collect();
+        let (light, times) = (LightCurve::of(&events), times(&document, &frames));
         let spectra = InstrumentSpectra::of(path, &document)?;
-        Ok(Run { dir, document, frames, spectra, standards: Standards::load()? })
+        Ok(Run { dir, document, frames, light, times, spectra, standards: Standards::load()? })
+    }
+
+    /// What a view is scaled by because the lamp drifted; `None` without light monitor or frames.
+    pub fn drift_factor(&self, view: u32) -> Option<DriftFactor> {
+        let (begin, end) = self.times.get(&view)?;
+        self.light.factor(*begin, *end)
     }
 
     /// Microseconds since 1970 of the first stored frame of a view; `None` if it has none.
     pub fn view_time(&self, view: u32) -> Option<i64> {
-        let steps = self.document.plan.steps.iter().filter(|s| s.view == view);
-        steps.filter_map(|s| self.frames.get(&s.number)).map(|f| f.utc_us).min()
+        self.times.get(&view).map(|(begin, _)| *begin)
     }
+}
+
+/// Begin and end of each view that has frames.
+fn times(document: &RunDocument, frames: &BTreeMap<u32, FrameRow>) -> BTreeMap<u32, (i64, i64)> {
+    let mut times: BTreeMap<u32, (i64, i64)> = BTreeMap::new();
+    for step in &document.plan.steps {
+        let Some(frame) = frames.get(&step.number) else { continue };
+        let end_us = frame.utc_us + frame.exposure_us as i64;
+        let (begin, end) = times.entry(step.view).or_insert((frame.utc_us, end_us));
+        (*begin, *end) = ((*begin).min(frame.utc_us), (*end).max(end_us));
+    }
+    times
 }
 
 // === impl Standards ===

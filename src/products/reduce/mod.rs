@@ -2,10 +2,12 @@
 //!
 //! - [`inputs`]: what the run kept becomes the engine's values
 //! - [`optics`]: cameras, lenses and level tables; [`readings`]: spectral kernels of every band and channel
+//! - [`light`]: the lamp's level through the night
 //! - [`views`]: brackets of frames -> patch means; [`columns`]: sample over reference, bands into totals
 
 mod columns;
 mod inputs;
+mod light;
 mod optics;
 mod readings;
 mod views;

@@ -19,8 +19,10 @@ pub struct ReducedView {
     pub view: View,
     /// Start of its first frame, UTC microseconds; `None` without frames.
     pub utc_us: Option<i64>,
-    /// Patch means; `None` without frames.
+    /// Patch means, scaled to the lamp's first level where there is a light monitor; `None` without frames.
     pub patches: Option<ViewPatches>,
+    /// Relative standard uncertainty of that scaling; `None` without light monitor.
+    pub drift_relative_u: Option<f64>,
 }
 
 /// All views of a run.
@@ -47,7 +49,10 @@ pub fn reduce_views(run: &Run, cameras: &BTreeMap<String, CameraOptics>) -> Resu
             let dark = darks.get(&view.camera).ok_or_else(lost)?;
             let frames = frames_of(run, view, brackets.get(&view.id).map_or(&[][..], Vec::as_slice))?;
             let patches = if frames.is_empty() { None } else { Some(merge_view(view, optics, dark, &frames)?) };
-            Ok(ReducedView { view: (*view).clone(), utc_us: run.view_time(view.id), patches })
+            let drift = run.drift_factor(view.id);
+            let patches = patches.map(|p| drift.map_or_else(|| p.clone(), |drift| p.scaled(drift.factor)));
+            let drift_relative_u = drift.map(|drift| drift.relative_u);
+            Ok(ReducedView { view: (*view).clone(), utc_us: run.view_time(view.id), patches, drift_relative_u })
         })
         .collect::<Result<Vec<_>>>()?;
     Ok(ReducedViews { views, darks })
