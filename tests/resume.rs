@@ -101,6 +101,32 @@ fn a_run_is_not_gone_on_with_by_another_instrument_or_calibration_and_each_diffe
     assert_eq!(said.code, 6, "{}{}", said.out, said.err);
 }
 
+/// In the time of the wall: the same command again goes on by itself where the instrument wants that.
+#[test]
+fn a_run_cut_short_is_gone_on_with_by_itself_where_the_instrument_says_so() {
+    let lab = Lab::small();
+    lab.edit("instrument.sim.toml", &[("runs_dir = \"runs\"\n", "runs_dir = \"runs\"\nauto_resume = true\n")], true);
+    let quick = [("[[0, 0], [30, 0], [60, 0]]", "[[0, 0]]"), ("\"f2\", \"f5\", \"nir1\"", "\"f5\""), ("2.0", "0.25")];
+    let quick = quick.iter().fold(SCAN.to_owned(), |text, (from, to)| text.replace(from, to));
+    let (scan, instrument) = (text(&lab.scan("quick.toml", &quick)), text(&lab.instrument()));
+    let args = ["run", &scan, "--instrument", &instrument, "--no-products"];
+    let mut child = lab.command(&args).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let run = || fs::read_dir(lab.path("runs")).ok()?.flatten().map(|e| e.path()).find(|p| p.is_dir());
+    while run().is_none_or(|run| chunks(&run) < 2) {
+        assert!(child.try_wait().unwrap().is_none(), "it ended before it could be killed");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    let other = lab.goniod(&["resume", &text(&run().unwrap()), "--instrument", &instrument]);
+    assert!(other.code == 1 && other.err.contains("another process works on this run"), "{}", other.err);
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let said = lab.goniod(&args);
+    assert_eq!(said.code, 0, "{}{}", said.out, said.err);
+    assert!(said.out.contains("going on with"), "{}", said.out);
+    assert_eq!(fs::read_dir(lab.path("runs")).unwrap().count(), 1, "no second run was begun");
+    assert_eq!(lab.goniod(&["verify", &text(&run().unwrap())]).code, 0);
+}
+
 #[test]
 fn the_bench_is_made_safe_by_hand_and_each_device_tells_how_it_stands() {
     let lab = Lab::small();

@@ -268,6 +268,9 @@ async fn the_safe_state_does_not_wait_for_what_hangs() {
     assert!(!night.world.lock().unwrap().open);
 }
 
+/// What trips, when, and by when the run must be over, seconds.
+type Alarm = (fn(&mut fakes::World), f64, f64);
+
 fn watched() -> Interlocks {
     Interlocks {
         lamp_drift_warning: Some(0.05),
@@ -305,7 +308,7 @@ async fn a_warning_suspends_until_it_is_gone_and_the_night_goes_on_by_itself() {
 
 #[tokio::test(start_paused = true)]
 async fn an_alarm_makes_safe_also_before_the_start_and_a_silent_gauge_is_one_after_three_periods() {
-    let alarms: [(fn(&mut fakes::World), f64, f64); 4] = [
+    let alarms: [Alarm; 4] = [
         (|w| w.contact_open = true, 0.0, 1.0),
         (|w| w.temperature_c = 60.0, 8.0, 21.0),
         (|w| w.power_w = 0.2e-3, 8.0, 21.0),
