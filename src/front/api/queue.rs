@@ -6,6 +6,7 @@ use super::routes::Shared;
 use crate::front::daemon::entry::{Entry, Work};
 use crate::front::daemon::error::DaemonError;
 use crate::front::daemon::hub::Hub;
+use crate::front::daemon::queue::Queue;
 use crate::front::daemon::start::{check_for_queue, check_resumable};
 use crate::front::night::stamp;
 use axum::Json;
@@ -62,11 +63,14 @@ fn add_blocking(hub: &Hub, new: NewEntry) -> Result<Added, ApiError> {
             let (queued, checked) = check_for_queue(hub, &scan, clock)?;
             let warnings = checked.warnings.iter().map(ToString::to_string).collect();
             let work = Work::Scan(Box::new(queued));
-            (hub.queue(|queue| queue.add(work, Some(&checked), added))?, warnings)
+            let staged = hub.queue(Queue::stage)?;
+            staged.copy(&checked)?;
+            (hub.queue(|queue| queue.add(staged, work, added))?, warnings)
         }
         (None, Some(run)) => {
             check_resumable(hub, &run).map_err(|why| ApiError::new(StatusCode::CONFLICT, why))?;
-            (hub.queue(|queue| queue.add(Work::Resume { run }, None, added))?, Vec::new())
+            let staged = hub.queue(Queue::stage)?;
+            (hub.queue(|queue| queue.add(staged, Work::Resume { run }, added))?, Vec::new())
         }
         _ => {
             let why = "the body names either `scan` (an absolute path) or `resume` (a run), one of the two";

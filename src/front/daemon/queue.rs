@@ -45,6 +45,33 @@ pub struct BadEntry {
     pub reason: String,
 }
 
+/// A number of the queue with a place for copies, which are written without holding anybody up. What is staged and not
+/// added is removed again.
+#[derive(Debug)]
+pub struct Staged {
+    id: u32,
+    building: PathBuf,
+}
+
+// === impl Staged ===
+
+impl Staged {
+    /// Writes the copies of every file of a check.
+    ///
+    /// # Errors
+    /// Storage failures.
+    pub fn copy(&self, checked: &Checked) -> Result<(), DaemonError> {
+        snapshot::write(&self.building, checked)
+    }
+}
+
+impl Drop for Staged {
+    fn drop(&mut self) {
+        // Renamed into the queue there is nothing left; what is left after a failure only takes space.
+        let _ = fs::remove_dir_all(&self.building);
+    }
+}
+
 // === impl Queue ===
 
 impl Queue {
@@ -108,25 +135,33 @@ impl Queue {
         running.or_else(|| self.entries.values().find(|e| e.state == EntryState::Waiting))
     }
 
-    /// Puts work at the end of the queue, with copies of the files it was checked with.
+    /// Gives a number and a place for copies away; nothing is in the queue yet.
     ///
     /// # Errors
-    /// [`DaemonError::Full`], storage failures; the queue is then as it was.
-    pub fn add(&mut self, work: Work, checked: Option<&Checked>, added: String) -> Result<Entry, DaemonError> {
+    /// [`DaemonError::Full`].
+    pub fn stage(&mut self) -> Result<Staged, DaemonError> {
         if self.waiting() >= MOST_WAITING {
             return Err(DaemonError::Full(MOST_WAITING));
         }
-        let id = self.highest + 1;
-        let entry = Entry { id, added, work, state: EntryState::Waiting, products: Products::None };
-        let building = self.folder.join(format!("{TEMPORARY_PREFIX}{id:06}"));
-        let written = self.build(&building, &entry, checked);
-        if let Err(e) = written {
-            // What is left only takes space and is never read.
-            let _ = fs::remove_dir_all(&building);
-            return Err(e);
-        }
-        self.highest = id;
-        self.entries.insert(id, entry.clone());
+        self.highest += 1;
+        let id = self.highest;
+        Ok(Staged { id, building: self.folder.join(format!("{TEMPORARY_PREFIX}{id:06}")) })
+    }
+
+    /// Puts work at the end of the queue, with the copies that were staged.
+    ///
+    /// # Errors
+    /// Storage failures; the queue is then as it was.
+    pub fn add(&mut self, staged: Staged, work: Work, added: String) -> Result<Entry, DaemonError> {
+        let Staged { id, building } = &staged;
+        let entry = Entry { id: *id, added, work, state: EntryState::Waiting, products: Products::None };
+        make_folders(&RealDisk, building)?;
+        save(building, &entry)?;
+        let path = self.folder_of(*id);
+        let io = |source| DaemonError::Io { path: path.clone(), source };
+        fs::rename(building, &path).map_err(io)?;
+        RealDisk.sync_folder(&self.folder).map_err(io)?;
+        self.entries.insert(*id, entry.clone());
         Ok(entry)
     }
 
@@ -199,18 +234,6 @@ impl Queue {
         }
     }
 
-    fn build(&self, building: &Path, entry: &Entry, checked: Option<&Checked>) -> Result<(), DaemonError> {
-        make_folders(&RealDisk, building)?;
-        if let Some(checked) = checked {
-            snapshot::write(building, checked)?;
-        }
-        save(building, entry)?;
-        let path = self.folder_of(entry.id);
-        let io = |source| DaemonError::Io { path: path.clone(), source };
-        fs::rename(building, &path).map_err(io)?;
-        RealDisk.sync_folder(&self.folder).map_err(io)
-    }
-
     /// Keeps the list of what is over short.
     fn forget_old(&mut self) {
         let done = |e: &&Entry| e.is_over() && e.products != Products::Pending && e.id != self.highest;
@@ -242,7 +265,8 @@ mod tests {
     fn filled(state: &Path, entries: usize) -> Queue {
         let mut queue = Queue::open(state).unwrap();
         for i in 0..entries {
-            queue.add(work(&format!("run-{i}")), None, "2026-01-01T18:00:00Z".to_owned()).unwrap();
+            let staged = queue.stage().unwrap();
+            queue.add(staged, work(&format!("run-{i}")), "2026-01-01T18:00:00Z".to_owned()).unwrap();
         }
         queue
     }
@@ -273,7 +297,8 @@ mod tests {
         let state = tempfile::tempdir().unwrap();
         filled(state.path(), 2).cancel(2).unwrap();
         let mut again = Queue::open(state.path()).unwrap();
-        assert_eq!(again.add(work("x"), None, String::new()).unwrap().id, 3);
+        let staged = again.stage().unwrap();
+        assert_eq!(again.add(staged, work("x"), String::new()).unwrap().id, 3);
         assert!(matches!(again.cancel(2), Err(DaemonError::NotWaiting { .. })));
         assert!(matches!(again.cancel(9), Err(DaemonError::NoEntry(9))));
     }
@@ -292,7 +317,8 @@ mod tests {
         assert_eq!(ids(&queue), [(3, "waiting")]);
         assert_eq!(queue.bad().len(), 4, "{:?}", queue.bad());
         assert!(!folder.join(".tmp-000009").exists());
-        assert_eq!(queue.add(work("x"), None, String::new()).unwrap().id, 9, "not the number of a damaged one");
+        let staged = queue.stage().unwrap();
+        assert_eq!(queue.add(staged, work("x"), String::new()).unwrap().id, 9, "not the number of a damaged one");
     }
 
     #[test]
@@ -301,6 +327,6 @@ mod tests {
         let mut queue = filled(state.path(), 1);
         let entry = queue.get(1).unwrap().clone();
         queue.entries.extend((2..=MOST_WAITING as u32).map(|id| (id, Entry { id, ..entry.clone() })));
-        assert!(matches!(queue.add(work("x"), None, String::new()), Err(DaemonError::Full(_))));
+        assert!(matches!(queue.stage(), Err(DaemonError::Full(_))));
     }
 }
