@@ -8,6 +8,7 @@ pub mod motion;
 pub mod outbox;
 pub mod prompt;
 pub mod sc10;
+pub mod usb;
 pub mod zaber;
 mod zaber_axis;
 

@@ -2,6 +2,8 @@
 
 pub mod pipe;
 pub mod usb;
+pub mod usb_memory;
 pub mod usbip;
 
 pub use pipe::{PipeConnector, PipePort};
+pub use usb_memory::UsbBus;
