@@ -198,7 +198,8 @@ async fn every_fault_of_a_short_answer_is_asked_again() {
 #[tokio::test(start_paused = true)]
 async fn a_stale_or_dead_detector_is_no_measurement() {
     let (bus, mut driver) = ocean(OceanModel::Usb2000).await;
-    bus.with(|twin| twin.inject(OceanFault::Stale, Instant::now()));
+    takes_a_true_one(&bus, OceanModel::Usb2000, &mut driver).await;
+    bus.with(|twin| twin.inject(OceanFault::Stale(2), Instant::now()));
     takes_a_true_one(&bus, OceanModel::Usb2000, &mut driver).await;
     let health = driver.health().await.unwrap();
     assert!(health.warnings.iter().any(|w| w.contains("taken again")), "{health:?}");
@@ -255,7 +256,7 @@ async fn a_restart_or_a_pulled_cable_is_a_lost_device_until_it_is_opened_again()
         // Pulled in the middle of a transfer.
         let pulled = bus.clone();
         tokio::spawn(async move {
-            tokio::time::sleep(Duration::from_millis(600)).await;
+            tokio::time::sleep(Duration::from_millis(300)).await;
             pulled.unplug_for(Duration::from_secs(2));
         });
         assert_eq!(driver.acquire().await.unwrap_err().kind, ErrorKind::Lost);

@@ -31,8 +31,8 @@ pub enum OceanFault {
     Query(UsbFault),
     /// A fault of the next spectrum.
     Spectrum(UsbFault),
-    /// The next spectrum is that of an older period.
-    Stale,
+    /// So many of the next spectra are that of an older period.
+    Stale(u32),
     /// 0x01 leaves a spectrum in the endpoint (true), as the data sheet says, or not.
     InitLeavesSpectrum(bool),
     /// The status of a USB2000 has its words low byte first (true).
@@ -79,7 +79,7 @@ pub struct OceanTwin {
     last_spectrum: Vec<u8>,
     exposures: VecDeque<Exposure>,
     number: u64,
-    stale: bool,
+    stale: u32,
     init_leaves_spectrum: bool,
     little_status: bool,
     dead: bool,
@@ -119,7 +119,7 @@ impl OceanTwin {
             last_spectrum: Vec::new(),
             exposures: VecDeque::new(),
             number: 0,
-            stale: false,
+            stale: 0,
             init_leaves_spectrum: false,
             little_status: false,
             dead: false,
@@ -133,7 +133,7 @@ impl OceanTwin {
         match fault {
             OceanFault::Query(fault) => self.query_faults.push_back(fault),
             OceanFault::Spectrum(fault) => self.spectrum_faults.push_back(fault),
-            OceanFault::Stale => self.stale = true,
+            OceanFault::Stale(times) => self.stale = times,
             OceanFault::InitLeavesSpectrum(leaves) => self.init_leaves_spectrum = leaves,
             OceanFault::LittleStatus(little) => self.little_status = little,
             OceanFault::Dead(dead) => self.dead = dead,
@@ -298,7 +298,9 @@ impl OceanTwin {
         let raw = self.expose(began, length);
         self.remember(Exposure { began, ended: began + length, raw });
         let mut bytes = self.pack();
-        if std::mem::take(&mut self.stale) && !self.last_spectrum.is_empty() {
+        let stale = self.stale > 0;
+        self.stale = self.stale.saturating_sub(1);
+        if stale && !self.last_spectrum.is_empty() {
             bytes.clone_from(&self.last_spectrum);
         }
         let previous = std::mem::replace(&mut self.last_spectrum, bytes.clone());

@@ -251,7 +251,8 @@ impl Pm100Twin {
                 self.preset();
                 None
             }
-            (Command::Nothing, false) => None,
+            (Command::Nothing | Command::Configure, false) => None,
+            (Command::Configure, true) => Some("POW".to_owned()),
             (Command::Measure, true) => {
                 self.automatic = true;
                 Some(self.read(ready))

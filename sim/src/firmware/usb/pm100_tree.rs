@@ -16,6 +16,7 @@ pub(super) enum Command {
     Nothing,
     Measure,
     Initiate,
+    Configure,
     Read,
     Fetch,
     Wavelength,
@@ -60,7 +61,7 @@ pub(super) const COMMANDS: &[(&str, Command)] = &[
     ("[SENSe]:CURRent:[DC]:RANGe:AUTO", Kept("1")), ("[SENSe]:CURRent:[DC]:RANGe:[UPPer]", Kept("5.000000E-02")),
     ("[SENSe]:FREQuency:RANGe:[UPPer]", Constant("1.000000E+05")), ("[SENSe]:FREQuency:RANGe:LOWer", Constant("0.000000E+00")),
     ("INPut:[PDIode]:FILTer:[LPASs]:[STATe]", Kept("0")), ("INPut:ADAPter:[TYPE]", Kept("PHOTODIODE")),
-    ("CONFigure:[SCALar]:[POWer]", Kept("POW")),
+    ("CONFigure:[SCALar]:[POWer]", Configure),
     ("MEASure:[SCALar]:[POWer]", Measure), ("INITiate:[IMMediate]", Initiate), ("ABORt", Nothing),
     ("READ", Read), ("FETCh", Fetch),
 ];
