@@ -4,7 +4,7 @@ SHELL := /bin/bash
 GONIOD := target/debug/goniod
 RUNS ?= runs/demo
 
-.PHONY: demo test check setup setup-python build validate bench clean
+.PHONY: demo test hil check setup setup-python build validate bench clean
 
 ## Measure a simulated sample and show where the products are.
 demo: build
@@ -13,6 +13,10 @@ demo: build
 ## All tests, as CI runs them.
 test: setup setup-python
 	bash tests/run.sh
+
+## The drivers against real kernel interfaces in an emulated machine.
+hil: setup
+	bash tests/hil/run $(SUBJECTS)
 
 ## Formatting and lints.
 check: setup

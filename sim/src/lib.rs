@@ -3,7 +3,7 @@
 //!
 //! - [`bench`]: a whole bench from its files; [`truth`]: its optics, samples and the true answers
 //! - [`firmware`]: devices as state machines; [`front`]: how they reach a link; [`twins`]: all of them together
-//! - [`gige`]: a GigE Vision camera on loopback, for the real driver
+//! - [`gige`]: a GigE Vision camera on loopback; [`uvc`]: a USB camera, for the real drivers; [`scene`]: what they photograph
 //! - [`camera`], [`stream`]: cameras with their latency and queues
 //! - [`paint`], [`oracle`]: the true state in the pixels, written and read; [`pose`]: what it consists of
 
@@ -15,6 +15,8 @@ pub mod gige;
 pub mod oracle;
 pub mod paint;
 pub mod pose;
+pub mod scene;
 pub mod stream;
 pub mod truth;
 pub mod twins;
+pub mod uvc;
