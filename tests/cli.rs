@@ -8,7 +8,8 @@ mod common;
 use common::{Lab, root, text};
 use std::fs;
 
-const COMMANDS: [&str; 9] = ["check", "plan", "run", "rehearse", "reduce", "export", "report", "verify", "status"];
+const COMMANDS: [&str; 10] =
+    ["check", "plan", "run", "rehearse", "reduce", "export", "report", "verify", "status", "device"];
 
 const SCAN: &str = r#"
 name = "small"

@@ -2,7 +2,7 @@
 
 use crate::config::instrument::{self, Instrument};
 use goniod_drivers::clock::Clock;
-use goniod_drivers::contract::{Camera, FilterWheel, Identity, RotaryAxis, Shutter, ShutterState};
+use goniod_drivers::contract::{Camera, FilterWheel, Identity, LightMonitor, RotaryAxis, Shutter, ShutterState};
 use goniod_drivers::error::{DeviceError, ErrorKind};
 use goniod_drivers::units::Slot;
 use std::collections::BTreeMap;
@@ -56,6 +56,8 @@ pub struct Devices {
     pub wheel: Box<dyn FilterWheel>,
     /// Shutter.
     pub shutter: Box<dyn Shutter>,
+    /// Power meter that watches the lamp, where there is one.
+    pub light_monitor: Option<Box<dyn LightMonitor>>,
     /// Cameras by name.
     pub cameras: BTreeMap<String, Box<dyn Camera>>,
 }

@@ -329,6 +329,7 @@ pub fn bench(clock: Clock) -> (Bench, Shared) {
         changer: None,
         wheel: Box::new(FakeWheel(part("filter_wheel"))),
         shutter: Box::new(FakeShutter(part("shutter"))),
+        light_monitor: None,
         cameras: [camera("ccd"), camera("ingaas")].into(),
     };
     let axis = AxisCare { settle: Duration::from_millis(300), tolerance_deg: 0.05 };

@@ -4,6 +4,7 @@ pub mod exit;
 pub mod output;
 
 mod check;
+mod device;
 mod export;
 mod input;
 mod plan;
@@ -52,6 +53,8 @@ enum Command {
     Verify(verify::Args),
     /// Tell what the runs are doing or how they ended.
     Status(status::Args),
+    /// Look at, move or read one device by hand.
+    Device(device::Args),
 }
 
 /// Parses the command line, runs the command and gives its exit code.
@@ -92,6 +95,7 @@ fn dispatch(command: Command, output: &Output) -> Outcome {
         Command::Report(args) => report::run(args, output),
         Command::Verify(args) => verify::run(args, output),
         Command::Status(args) => status::run(args, output),
+        Command::Device(args) => device::run(args, output),
     }
 }
 
