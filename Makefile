@@ -5,7 +5,7 @@ GONIOD := target/debug/goniod
 FEATURES ?= --all-features
 RUNS ?= runs/demo
 
-.PHONY: demo test check setup setup-python build validate bench soak-cameras clean
+.PHONY: demo test hil check setup setup-python build validate bench soak soak-cameras clean
 
 ## Measure a simulated sample and show where the products are.
 demo: build
@@ -14,6 +14,10 @@ demo: build
 ## All tests, as CI runs them.
 test: setup setup-python
 	bash tests/run.sh
+
+## The drivers against real kernel interfaces in an emulated machine.
+hil: setup
+	bash tests/hil/run $(SUBJECTS)
 
 ## Formatting and lints.
 check: setup
@@ -28,10 +32,14 @@ validate: setup
 bench: setup
 	cargo bench --profile dev $(FEATURES)
 
-## Both camera drivers against their twins with the full counts (docs/cameras.md), about half an hour.
+## Both camera drivers against their twins with the full counts (docs/cameras.md), about 20 minutes of a quiet machine.
 soak-cameras: setup setup-python
 	GONIOD_FULL=1 cargo test -p goniod-drivers $(FEATURES) --test v4l2 -- --nocapture
 	GONIOD_FULL=1 cargo test -p goniod-sim $(FEATURES) --test gige -- --nocapture
+
+## Two thousand nights with faults, where CI runs two hundred.
+soak: setup
+	GONIOD_NIGHTS=2000 cargo test $(FEATURES) --test night -- --nocapture
 
 build: setup
 	cargo build $(FEATURES)

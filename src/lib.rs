@@ -12,6 +12,7 @@
 //! - [`archive`]: the run directory, the only code that writes run files
 //! - [`config`]: what people write becomes checked values
 //! - [`control`]: what happens in the night
+//! - [`digest`]: what names the content of a file
 //! - [`engine`]: what the pictures mean
 //! - [`front`]: what people touch
 //! - [`products`]: what people take away
@@ -19,6 +20,7 @@
 pub mod archive;
 pub mod config;
 pub mod control;
+pub mod digest;
 pub mod engine;
 pub mod front;
 pub mod products;

@@ -8,8 +8,8 @@ mod common;
 use common::{Lab, root, text};
 use std::fs;
 
-const COMMANDS: [&str; 10] =
-    ["check", "plan", "run", "rehearse", "reduce", "export", "report", "verify", "status", "device"];
+const COMMANDS: [&str; 12] =
+    ["check", "plan", "run", "resume", "rehearse", "reduce", "export", "report", "verify", "status", "device", "safe"];
 
 const SCAN: &str = r#"
 name = "small"

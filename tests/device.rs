@@ -5,6 +5,15 @@ mod common;
 
 use common::{Lab, Said, text};
 
+/// The small lab with a light monitor in its instrument.
+fn lab() -> Lab {
+    let lab = Lab::small();
+    let monitor =
+        "[light_monitor]\ndriver = \"newport-1830c\"\nport = \"sim:light-monitor\"\nwavelength_nm = 550.0\n\n";
+    lab.edit("instrument.sim.toml", &[("[camera.ccd]\n", &format!("{monitor}[camera.ccd]\n"))], true);
+    lab
+}
+
 fn device(lab: &Lab, args: &[&str]) -> Said {
     let instrument = text(&lab.instrument());
     let mut all = vec!["device", "--instrument", &instrument, "--json"];
@@ -14,7 +23,7 @@ fn device(lab: &Lab, args: &[&str]) -> Said {
 
 #[test]
 fn the_list_names_every_device_and_the_one_that_is_not_there() {
-    let lab = Lab::small();
+    let lab = lab();
     let said = device(&lab, &["list"]);
     assert_eq!(said.code, 0, "{}{}", said.out, said.err);
     let listed = said.json();
@@ -32,7 +41,7 @@ fn the_list_names_every_device_and_the_one_that_is_not_there() {
 
 #[test]
 fn each_device_moves_and_says_where_it_stands() {
-    let lab = Lab::small();
+    let lab = lab();
     for (name, to, state) in [
         ("tilt", "30", "30°"),
         ("tilt", "home", "0°"),
@@ -52,7 +61,7 @@ fn each_device_moves_and_says_where_it_stands() {
 
 #[test]
 fn what_is_not_permitted_is_refused_with_what_is() {
-    let lab = Lab::small();
+    let lab = lab();
     for (args, words) in [
         (&["move", "tilt", "200"][..], "from -2 to 182 degrees"),
         (&["move", "tilt", "upwards"], "write an angle from -2 to 182"),
@@ -72,7 +81,7 @@ fn what_is_not_permitted_is_refused_with_what_is() {
 
 #[test]
 fn light_is_read_by_monitor_and_camera() {
-    let lab = Lab::small();
+    let lab = lab();
     let power = device(&lab, &["read", "light_monitor"]).json()["reading"]["power_w"].as_f64().unwrap();
     assert!((power / 1e-3 - 1.0).abs() < 0.01, "{power}");
     let frame = device(&lab, &["read", "ccd", "--exposure", "0.05"]).json();
@@ -83,12 +92,12 @@ fn light_is_read_by_monitor_and_camera() {
 /// The kernel holds the lock for whoever has the instrument; a hand waits outside.
 #[test]
 fn an_instrument_in_use_is_left_alone() {
-    let lab = Lab::small();
+    let lab = lab();
     let first = device(&lab, &["show", "shutter"]);
     assert_eq!(first.code, 0, "{}{}", first.out, first.err);
     let folder = if std::path::Path::new("/run/lock").is_dir() { "/run/lock".into() } else { std::env::temp_dir() };
     let real = std::fs::canonicalize(lab.instrument()).unwrap();
-    let digest = goniod::archive::disk::sha256_hex(real.to_string_lossy().as_bytes());
+    let digest = goniod::digest::sha256_hex(real.to_string_lossy().as_bytes());
     let lock = std::fs::File::open(folder.join(format!("goniod-{}.lock", &digest[..16]))).unwrap();
     lock.lock().unwrap();
     let said = device(&lab, &["move", "shutter", "open"]);
@@ -96,4 +105,27 @@ fn an_instrument_in_use_is_left_alone() {
     assert!(said.err.contains("is in use"), "{}", said.err);
     drop(lock);
     assert_eq!(device(&lab, &["show", "shutter"]).code, 0);
+}
+
+/// The run reads the twin through the real driver before each view; the journal keeps what it said.
+#[test]
+fn a_rehearsal_reads_the_lamp_through_the_monitor() {
+    let lab = lab();
+    let scan = lab.path("config/scans/small.toml");
+    std::fs::write(
+        &scan,
+        "name = \"small\"\n[sample]\nthickness_mm = 4.0\nsimulated = \"../sim/samples/rough_glass.toml\"\n\
+         [incidence]\ndirections = [[0, 180]]\nsides = [\"transmission-front\"]\n[bands]\nuse = [\"f5\"]\n\
+         [exposure]\npolicy = \"ladder\"\nratio = 8.0\nshortest_s = 0.03\nlongest_s = 2.0\n",
+    )
+    .unwrap();
+    let run = lab.rehearse(&scan, "runs", &["--no-products"]);
+    let dir = goniod::archive::RunDir::open(&run).unwrap();
+    let events = dir.with(|journal| journal.events()).unwrap();
+    let powers: Vec<f64> = events
+        .iter()
+        .filter(|e| e.kind == "light-read")
+        .map(|e| serde_json::from_str::<serde_json::Value>(&e.json).unwrap()["power_w"].as_f64().unwrap())
+        .collect();
+    assert!(!powers.is_empty() && powers.iter().all(|p| (p / 1e-3 - 1.0).abs() < 0.01), "{powers:?}");
 }

@@ -173,6 +173,30 @@ fn one_by_one(lab: &Lab, run: &Path, first: &BTreeMap<PathBuf, Vec<u8>>) {
     assert_eq!(lab.goniod(&["verify", &text(run)]).code, 0, "products are no part of what verify proves");
 }
 
+/// A product that the bands cannot give costs none of the others and is named with its reason.
+#[test]
+fn one_band_gives_everything_but_the_klems_file_and_says_why() {
+    let lab = Lab::small();
+    let scan = lab.scan("one_band.toml", &SHORT.replace("count = 60", "count = 1"));
+    let checked = lab.goniod(&["check", &text(&scan), "--instrument", &text(&lab.instrument())]);
+    assert!(checked.code == 0 && checked.err.contains("far enough for Visible and Solar"), "{}", checked.err);
+    let run = lab.rehearse(&scan, "runs", &[]);
+    for there in ["products/bsdf.h5", "products/report.html", "products/plots/overview.png"] {
+        assert!(run.join(there).is_file(), "{there}");
+    }
+    assert!(!run.join("products/bsdf.xml").exists());
+    let report = fs::read_to_string(run.join("products/report.html")).unwrap();
+    assert!(report.contains("NOT MADE: Klems XML"), "{report}");
+    let again = lab.goniod(&["reduce", &text(&run), "--json"]).json();
+    let not_made = again["not_made"].as_array().unwrap();
+    assert!(not_made.len() == 1 && not_made[0].as_str().unwrap().contains("bands do not reach"), "{not_made:?}");
+    assert_eq!(
+        lab.goniod(&["export", &text(&run), "--format", "klems-xml"]).code,
+        6,
+        "asked for by name it is an error"
+    );
+}
+
 #[test]
 fn another_seed_gives_other_frames_of_the_same_plan() {
     let lab = Lab::small();

@@ -7,12 +7,12 @@
 
 mod common;
 
+use goniod::archive::write_atomic;
 use goniod::engine::bsdf::set::{BsdfSet, Column, PatchValue, Quantity};
 use goniod::engine::optics::basis::AngleBasis;
 use goniod::engine::optics::direction::Direction;
 use goniod::engine::optics::side::Side;
 use goniod::products::context::{Checks, Counts, ProductContext, SampleHeader};
-use goniod::products::export::files::write_whole;
 use goniod::products::export::hdf5_nexus::write_hdf5;
 use goniod::products::export::klems_read::{KlemsFile, read_klems};
 use goniod::products::export::klems_xml::{klems_xml, klems_xml_band};
@@ -131,7 +131,7 @@ fn own(file: &KlemsFile, side: Side) -> Vec<f64> {
 fn check_with(readers: &[&str], python: &Path, xml: &str, folder: &Path) {
     let file = read_klems(xml).unwrap();
     let path = folder.join("peer.xml");
-    write_whole(&path, xml.as_bytes()).unwrap();
+    write_atomic(&path, xml.as_bytes()).unwrap();
     for who in readers {
         let mut arguments = vec![*who, path.to_str().unwrap()];
         arguments.extend(DIRECTIONS);
@@ -188,7 +188,7 @@ fn a_single_entry_answers_to_its_own_direction_only() {
     let known = blocks(&set(&[Side::TransmissionFront], entry));
     let xml = klems_xml(&context(), &known, &known, "").unwrap();
     let path = folder.path().join("single.xml");
-    write_whole(&path, xml.as_bytes()).unwrap();
+    write_atomic(&path, xml.as_bytes()).unwrap();
     let answer = ask(&python, "klems.py", &["orientation", path.to_str().unwrap(), "40,90", "30,0"]);
     let (right, wrong) = (answer["named by travel"].as_f64().unwrap(), answer["named by source"].as_f64().unwrap());
     assert!((right * l - 0.6).abs() < 1e-3, "entry reads {right}, {} was written", 0.6 / l);

@@ -4,7 +4,8 @@ set -uo pipefail
 cd "$(dirname "$0")/.."
 
 log=$(mktemp)
-trap 'rm -f "$log"' EXIT
+hil_log=$(mktemp)
+trap 'rm -f "$log" "$hil_log"' EXIT
 
 cargo fmt --all -- --check \
     && cargo clippy --workspace --all-targets --all-features --quiet -- -D warnings \
@@ -16,5 +17,13 @@ lints=$?
 cargo test --workspace --all-features --no-fail-fast -- "$@" 2>&1 | tee "$log"
 tests=${PIPESTATUS[0]}
 
-awk '/^test result:/ { p += $4; f += $6; s += $8 } END { printf "%d passed, %d failed, %d skipped\n", p, f, s }' "$log"
-[ "$tests" = 0 ] && [ "$lints" = 0 ]
+# The virtual bench, unless single tests were asked for or it is left out.
+hil=0
+if [ $# = 0 ] && [ "${GONIOD_HIL:-}" != skip ]; then
+    bash tests/hil/run 2>&1 | tee "$hil_log"
+    hil=${PIPESTATUS[0]}
+fi
+
+awk '/^test result:/ { p += $4; f += $6; s += $8 } /^[0-9]+ passed, [0-9]+ failed, [0-9]+ skipped$/ { p += $1; f += $3; s += $5 }
+    END { printf "%d passed, %d failed, %d skipped\n", p, f, s }' "$log" "$hil_log"
+[ "$tests" = 0 ] && [ "$lints" = 0 ] && [ "$hil" = 0 ]

@@ -17,6 +17,7 @@ pub struct UtcMicros(pub i64);
 pub struct Clock {
     origin: Instant,
     origin_utc: UtcMicros,
+    rehearsed: bool,
 }
 
 /// The deadline passed before the future was ready.
@@ -29,12 +30,17 @@ impl Clock {
     /// The clock of a real night: wall time from the operating system, now.
     pub fn system() -> Clock {
         let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        Clock::starting_at(UtcMicros(since.as_micros() as i64))
+        Clock { rehearsed: false, ..Clock::starting_at(UtcMicros(since.as_micros() as i64)) }
     }
 
     /// A clock whose wall time is `utc` at this moment of tokio's clock (rehearsals and tests).
     pub fn starting_at(utc: UtcMicros) -> Clock {
-        Clock { origin: Instant::now(), origin_utc: utc }
+        Clock { origin: Instant::now(), origin_utc: utc, rehearsed: true }
+    }
+
+    /// True when the wall time is not that of the operating system.
+    pub fn is_virtual(&self) -> bool {
+        self.rehearsed
     }
 
     /// The monotonic instant now.

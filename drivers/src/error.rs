@@ -1,9 +1,11 @@
 //! One error a device can give: its kind is what recovery decides on, its text is for the person who must act.
 
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 /// What went wrong, in the words recovery needs.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum ErrorKind {
     /// The device works on something else; ask again later.
     Busy,

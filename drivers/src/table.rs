@@ -3,9 +3,10 @@
 use crate::clock::Clock;
 use crate::contract::{Camera, FilterWheel, LightMonitor, Monochromator, RotaryAxis, Shutter, Spectrometer};
 use crate::devices::{
-    AxisConfig, CameraConfig, Cm110, Fw212c, LightMonitorConfig, MonochromatorConfig, Newport1830c, OceanOptics, Pm100,
-    Sc10, ShutterConfig, SpectrometerConfig, WheelConfig, ZaberChain, newport_1830c, spectral_cm110, thorlabs_fw212c,
-    thorlabs_sc10,
+    AxisConfig, CameraConfig, Cm110, Esp301, Fw212c, LightMonitorConfig, MonochromatorConfig, Newport1830c,
+    OceanOptics, OptecIfw, Pm100, Sc10, ShutterConfig, Smc100, SpectrometerConfig, WheelConfig, ZaberChain, lcus_relay,
+    newport_1830c, newport_esp301, newport_smc100, optec_ifw, spectral_cm110, thorlabs_fw212c, thorlabs_sc10,
+    uniblitz_vcm_d1,
 };
 use crate::error::{DeviceError, ErrorKind, Result};
 use crate::transport::{Connector, UsbConnector};
@@ -67,12 +68,18 @@ pub struct Driver {
 #[rustfmt::skip]
 pub const DRIVERS: &[Driver] = &[
     Driver { name: "zaber-ascii", devices: "Zaber rotary stages, ASCII protocol, firmware 6.14 to 7.x", baud: 115_200, make: Make::Holder(zaber) },
+    Driver { name: "newport-esp301", devices: "rotation stages on a Newport ESP301, USB", baud: newport_esp301::BAUD, make: Make::Holder(esp301) },
+    Driver { name: "newport-esp300", devices: "rotation stages on a Newport ESP300 or ESP301, RS-232", baud: newport_esp301::BAUD_RS232, make: Make::Holder(esp301) },
+    Driver { name: "newport-smc100", devices: "rotation stages on Newport SMC100 boxes", baud: newport_smc100::BAUD, make: Make::Holder(smc100) },
     Driver { name: "thorlabs-fw212c", devices: "Thorlabs FW212C and FW102C filter wheels", baud: thorlabs_fw212c::BAUD, make: Make::FilterWheel(|c, w, k| Box::new(Fw212c::new(c, w, k))) },
-    Driver { name: "thorlabs-pm100", devices: "Thorlabs PM100D, PM100A and PM100USB power meters", baud: 0, make: Make::UsbLightMonitor(|c, m, k| Box::new(Pm100::new(c, m, k))) },
-    Driver { name: "oceanoptics-usb", devices: "Ocean Optics USB2000, USB2000+ and USB4000 spectrometers", baud: 0, make: Make::Spectrometer(|c, s, k| Box::new(OceanOptics::new(c, s, k))) },
+    Driver { name: "optec-ifw", devices: "Optec IFW, IFW2 and IFW3 filter wheels", baud: optec_ifw::BAUD, make: Make::FilterWheel(|c, w, k| Box::new(OptecIfw::new(c, w, k))) },
     Driver { name: "thorlabs-sc10", devices: "Thorlabs SC10 shutter controller", baud: thorlabs_sc10::BAUD, make: Make::Shutter(|c, s, k| Box::new(Sc10::new(c, s, k))) },
+    Driver { name: "uniblitz-vcm-d1", devices: "Uniblitz VCM-D1, VMM-D1 and VMM-T1 shutter drivers, no feedback", baud: uniblitz_vcm_d1::BAUD, make: Make::Shutter(uniblitz_vcm_d1::shutter) },
+    Driver { name: "lcus-relay", devices: "LCUS USB relay boards with a shutter on channel 1, no feedback", baud: lcus_relay::BAUD, make: Make::Shutter(lcus_relay::shutter) },
     Driver { name: "spectral-cm110", devices: "Spectral Products CM110 and CM112 monochromators", baud: spectral_cm110::BAUD, make: Make::Monochromator(|c, m, k| Box::new(Cm110::new(c, m, k))) },
+    Driver { name: "thorlabs-pm100", devices: "Thorlabs PM100D, PM100A and PM100USB power meters", baud: 0, make: Make::UsbLightMonitor(|c, m, k| Box::new(Pm100::new(c, m, k))) },
     Driver { name: "newport-1830c", devices: "Newport 1830-C power meter as light monitor", baud: newport_1830c::BAUD, make: Make::LightMonitor(|c, m, k| Box::new(Newport1830c::new(c, m, k))) },
+    Driver { name: "oceanoptics-usb", devices: "Ocean Optics USB2000, USB2000+ and USB4000 spectrometers", baud: 0, make: Make::Spectrometer(|c, s, k| Box::new(OceanOptics::new(c, s, k))) },
     #[cfg(feature = "v4l2")]
     Driver { name: "v4l2", devices: "cameras behind any V4L2 node", baud: 0, make: Make::Camera(crate::devices::v4l2::make) },
     #[cfg(feature = "aravis")]
@@ -91,6 +98,16 @@ fn zaber(connector: Box<dyn Connector>, axes: Vec<AxisConfig>, clock: Clock) -> 
 /// The feature that brings the driver called `name`, where not every build has it.
 pub fn feature_of(name: &str) -> Option<&'static str> {
     BY_FEATURE.iter().find(|(driver, _)| *driver == name).map(|(_, feature)| *feature)
+}
+
+fn esp301(connector: Box<dyn Connector>, axes: Vec<AxisConfig>, clock: Clock) -> Vec<Box<dyn RotaryAxis>> {
+    let controller = Esp301::new(connector, axes, clock);
+    controller.axes().into_iter().map(|axis| Box::new(axis) as Box<dyn RotaryAxis>).collect()
+}
+
+fn smc100(connector: Box<dyn Connector>, axes: Vec<AxisConfig>, clock: Clock) -> Vec<Box<dyn RotaryAxis>> {
+    let chain = Smc100::new(connector, axes, clock);
+    chain.axes().into_iter().map(|axis| Box::new(axis) as Box<dyn RotaryAxis>).collect()
 }
 
 /// The driver called `name`; `Refused` lists the known ones.

@@ -7,6 +7,7 @@ use crate::bench::Surroundings;
 use crate::paint::PaintedTruth;
 use crate::pose::Pose;
 use crate::stream::{Shot, Stream, Timing};
+use crate::truth::config::TimingFile;
 use crate::truth::photo::{Exposure, Photographer};
 use async_trait::async_trait;
 use goniod_drivers::contract::{Armed, Camera, CameraInfo, CameraSettings, Device, Health, Identity};
@@ -28,6 +29,8 @@ pub enum CameraFault {
     Late(Duration),
     /// The picture before is given once more under the new id.
     Stale,
+    /// The frame before is given once more, with its old id and time.
+    Repeated,
     /// All levels 0, painted rows too (signal lost before the grabber).
     Black,
     /// Cut in the middle, flagged as damaged.
@@ -36,8 +39,12 @@ pub enum CameraFault {
     WrongExposure(ExposureTime),
     /// One frame is lost on the way, its id with it.
     SkippedId,
+    /// Nothing comes any more until the camera is opened again.
+    Hang,
     /// The camera is gone until it is opened again.
     Lost,
+    /// The camera is gone, and its settings with it: opened again, it has those of the factory.
+    Forgets,
 }
 
 /// Faults to come, in order; one is taken by each frame read. Clones share the queue.
@@ -80,6 +87,8 @@ const POOL: usize = 8;
 const POOL_WAIT: Duration = Duration::from_secs(30);
 /// Slack over exposure and read-out before a frame counts as missing.
 const MARGIN: Duration = Duration::from_secs(2);
+/// Rest of a camera that hangs.
+const HANG: Duration = Duration::from_secs(3600);
 /// Instants of an exposure at which the pose is looked at.
 const LOOKS: u32 = 8;
 
@@ -138,8 +147,7 @@ impl SimCamera {
             shortest: ExposureTime::from_seconds(shortest),
             longest: ExposureTime::from_seconds(longest),
         };
-        let exposure = ExposureTime::from_seconds(0.01f64.clamp(shortest, longest));
-        let registers = CameraSettings { exposure, gain: file.timing.gain };
+        let registers = factory_settings(&photographer.file.timing);
         SimCamera {
             name: name.to_owned(),
             pool: FramePool::new(POOL),
@@ -158,6 +166,10 @@ impl SimCamera {
 
     fn error(&self, kind: ErrorKind, message: impl Into<String>) -> DeviceError {
         DeviceError::new(kind, format!("camera.{} (sim:{})", self.name, self.name), message)
+    }
+
+    fn factory_settings(&self) -> CameraSettings {
+        factory_settings(&self.photographer.file.timing)
     }
 
     fn must_be_open(&self) -> Result<()> {
@@ -229,7 +241,7 @@ impl SimCamera {
             return Err(self.error(ErrorKind::Busy, message));
         };
         let mut seen = match (fault, self.last) {
-            (Some(CameraFault::Stale), Some(last)) => last,
+            (Some(CameraFault::Stale | CameraFault::Repeated), Some(last)) => last,
             _ => shot,
         };
         if let Some(CameraFault::WrongExposure(exposure)) = fault {
@@ -240,12 +252,16 @@ impl SimCamera {
         let pixels = tokio::task::spawn_blocking(move || job.run(&photographer, buffer, fault)).await;
         let pixels = pixels.map_err(|e| self.error(ErrorKind::Broken, format!("rendering failed: {e}")))?;
         let done = self.stream.as_ref().map_or(shot.start, |s| s.done(&shot));
+        let told = match (fault, self.last) {
+            (Some(CameraFault::Repeated), Some(last)) => last,
+            _ => shot,
+        };
         let info = FrameInfo {
             camera_serial: self.info.identity.serial.clone(),
-            device_frame_id: shot.id,
-            exposure_start: shot.start,
+            device_frame_id: told.id,
+            exposure_start: told.start,
             received: if matches!(fault, Some(CameraFault::Late(_))) { clock.now() } else { done },
-            utc: clock.utc_at(shot.start),
+            utc: clock.utc_at(told.start),
             settings: self.registers,
             width: self.info.width,
             height: self.info.height,
@@ -305,6 +321,12 @@ impl Look<'_> {
         truth.paint(&mut pixels, file.width_px, file.fisheye.reserved_rows, file.levels());
         pixels
     }
+}
+
+/// Settings after power-up.
+fn factory_settings(timing: &TimingFile) -> CameraSettings {
+    let exposure = ExposureTime::from_seconds(0.01f64.clamp(timing.shortest_s, timing.longest_s));
+    CameraSettings { exposure, gain: timing.gain }
 }
 
 /// Zeroes all pixels from `from` on.
@@ -379,9 +401,16 @@ impl Camera for SimCamera {
                 let message = format!("no frame within {} + readout + 2 s; is the link up", shot.settings.exposure);
                 return Err(self.error(ErrorKind::Timeout, message));
             }
-            Some(CameraFault::Lost) => {
+            Some(CameraFault::Hang) => loop {
+                // Nobody but the caller's deadline ends this; opened anew, the camera is well.
+                clock.sleep(HANG).await;
+            },
+            Some(lost @ (CameraFault::Lost | CameraFault::Forgets)) => {
                 self.halt();
                 self.open = false;
+                if lost == CameraFault::Forgets {
+                    self.registers = self.factory_settings();
+                }
                 return Err(self.error(ErrorKind::Lost, "the camera is gone; open it again"));
             }
             Some(CameraFault::Late(by)) => clock.sleep(by).await,

@@ -3,18 +3,22 @@
 //!
 //! - [`bench`]: a whole bench from its files; [`truth`]: its optics, samples and the true answers
 //! - [`firmware`]: devices as state machines; [`front`]: how they reach a link; [`twins`]: all of them together
-//! - [`gige`]: a GigE Vision camera on loopback, for the real driver
+//! - [`faults`]: what may go wrong, as a seeded plan
+//! - [`gige`]: a GigE Vision camera on loopback; [`uvc`]: a USB camera, for the real drivers; [`scene`]: what they photograph
 //! - [`camera`], [`stream`]: cameras with their latency and queues
 //! - [`paint`], [`oracle`]: the true state in the pixels, written and read; [`pose`]: what it consists of
 
 pub mod bench;
 pub mod camera;
+pub mod faults;
 pub mod firmware;
 pub mod front;
 pub mod gige;
 pub mod oracle;
 pub mod paint;
 pub mod pose;
+pub mod scene;
 pub mod stream;
 pub mod truth;
 pub mod twins;
+pub mod uvc;

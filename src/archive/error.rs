@@ -16,6 +16,20 @@ pub enum ArchiveError {
         /// File that could not be written.
         path: PathBuf,
     },
+    /// A run would not fit.
+    #[error(
+        "{}: the run needs {:.1} MB (forecast with margin), {:.1} MB are free; free space there, or choose another folder \
+         with --runs or runs_dir",
+        path.display(), *needed as f64 / 1e6, *free as f64 / 1e6
+    )]
+    NoRoom {
+        /// Folder of the runs.
+        path: PathBuf,
+        /// Bytes needed.
+        needed: u64,
+        /// Bytes free.
+        free: u64,
+    },
     /// The disk itself fails (EIO) or has become read-only.
     #[error("{}: the disk fails ({message}); check the device and its cables before going on", path.display())]
     Failing {
@@ -121,7 +135,7 @@ impl ArchiveError {
 
     /// True when no space is left.
     pub fn is_full(&self) -> bool {
-        matches!(self, ArchiveError::Full { .. })
+        matches!(self, ArchiveError::Full { .. } | ArchiveError::NoRoom { .. })
     }
 }
 

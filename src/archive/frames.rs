@@ -4,9 +4,10 @@
 //! decoding are those of the crate zarrs; the files themselves go through [`Disk`], which no kill can cut short.
 //! Source: Zarr core specification version 3 (zarr-specs.readthedocs.io), dot separator of the default key encoding.
 
-use super::disk::{Disk, make_folders, sha256_hex};
+use super::disk::{Disk, make_folders};
 use super::error::{ArchiveError, Result};
 use super::layout::ArrayLayout;
+use crate::digest::sha256_hex;
 use goniod_drivers::frame::{PixelFormat, Pixels};
 use std::collections::BTreeMap;
 use std::num::NonZeroU64;
@@ -84,7 +85,7 @@ impl FrameStore {
         let path = self.chunk_path(camera, array_index, exposure_index);
         let encoded = array.encode(pixels, &path)?;
         if let Some(folder) = path.parent() {
-            make_folders(folder)?;
+            make_folders(&*self.disk, folder)?;
         }
         self.disk.write_atomic(&path, &encoded).map_err(|e| ArchiveError::io("write the frame", &path, &e))?;
         Ok(Stored { digest: sha256_hex(&encoded), bytes: encoded.len() as u64 })
@@ -144,6 +145,9 @@ impl CameraArray {
             .bytes_to_bytes_codecs(vec![Arc::new(ZstdCodec::new(ZSTD_LEVEL, false)), Arc::new(Crc32cCodec::new())]);
         if let Ok(format) = serde_json::to_value(layout.format) {
             builder.attributes_mut().insert("pixel_format".to_owned(), format);
+        }
+        if let Some(caution) = layout.format.caution() {
+            builder.attributes_mut().insert("caution".to_owned(), caution.into());
         }
         let zarr = builder.build(Arc::new(()), &format!("/{}", layout.camera)).map_err(|e| no_place(e.to_string()))?;
         Ok(CameraArray { layout: layout.clone(), zarr, chunk })

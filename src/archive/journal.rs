@@ -3,13 +3,16 @@
 //! A commit that returned survives a power failure. Nothing in the file depends on time or chance beyond the rows
 //! themselves, so two equal runs give equal files. The layout has its version in `user_version`.
 
-use super::disk::sha256_hex;
+use super::disk::{Commit, Disk, RealDisk};
 use super::error::{ArchiveError, Result};
 use super::layout::{ArrayLayout, RunLayout, StepLayout};
 use super::rows::{EventRow, FileRow, FrameRow, StepRow, StepState, Summary};
+use super::space::Ballast;
+use crate::digest::sha256_hex;
 use rusqlite::{Connection, OpenFlags, Params, Row, Transaction, params};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Version of the tables below.
 pub const SCHEMA_VERSION: i64 = 1;
@@ -34,6 +37,10 @@ CREATE TABLE events(seq INTEGER PRIMARY KEY, utc_us INTEGER NOT NULL, kind TEXT 
 pub struct Journal {
     db: Connection,
     path: PathBuf,
+    disk: Arc<dyn Disk>,
+    ballast: Ballast,
+    /// A commit met a failing disk; what it wrote is unknown, so nothing more is written through this connection.
+    failed: Option<String>,
 }
 
 // === impl Journal ===
@@ -43,9 +50,15 @@ impl Journal {
     ///
     /// # Errors
     /// [`ArchiveError::Journal`] and the disk's kinds.
-    pub fn create(path: &Path, run_id: &str, layout: &RunLayout, files: &[FileRow]) -> Result<Journal> {
+    pub fn create(
+        path: &Path,
+        run_id: &str,
+        layout: &RunLayout,
+        files: &[FileRow],
+        disk: Arc<dyn Disk>,
+    ) -> Result<Journal> {
         let db = Connection::open(path).map_err(|e| ArchiveError::sql(path, &e))?;
-        let mut journal = Journal { db, path: path.to_path_buf() };
+        let mut journal = Journal::on(db, path, disk);
         journal.db.busy_timeout(BUSY_LIMIT).map_err(|e| journal.error(&e))?;
         journal.pragmas()?;
         journal.transaction(|tx| {
@@ -75,10 +88,10 @@ impl Journal {
     ///
     /// # Errors
     /// [`ArchiveError::NotARun`] for another schema version, [`ArchiveError::Journal`] when it cannot be opened.
-    pub fn open(path: &Path) -> Result<Journal> {
+    pub fn open(path: &Path, disk: Arc<dyn Disk>) -> Result<Journal> {
         let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let db = Connection::open_with_flags(path, flags).map_err(|e| ArchiveError::sql(path, &e))?;
-        let journal = Journal { db, path: path.to_path_buf() };
+        let journal = Journal::on(db, path, disk);
         journal.check_version()?;
         journal.pragmas()?;
         Ok(journal)
@@ -97,7 +110,7 @@ impl Journal {
             Connection::open_with_flags(immutable_uri(path), flags | OpenFlags::SQLITE_OPEN_URI)
         };
         let db = opened.map_err(|e| ArchiveError::sql(path, &e))?;
-        let journal = Journal { db, path: path.to_path_buf() };
+        let journal = Journal::on(db, path, Arc::new(RealDisk));
         journal.check_version()?;
         Ok(journal)
     }
@@ -143,6 +156,21 @@ impl Journal {
     /// [`ArchiveError::Journal`] and the disk's kinds.
     pub fn plan_missing_again(&mut self) -> Result<usize> {
         self.transaction(|tx| tx.execute("UPDATE steps SET state = 'planned', reason = '' WHERE state = 'missing'", []))
+    }
+
+    /// Puts every step of a view back to planned and forgets its frames, so that the view is taken again as a whole; gives
+    /// the number of frames forgotten. Their files stay until the new frames replace them.
+    ///
+    /// # Errors
+    /// [`ArchiveError::Journal`] and the disk's kinds.
+    pub fn plan_view_again(&mut self, view: u32, event: &EventRow) -> Result<usize> {
+        self.transaction(|tx| {
+            let of_view = "DELETE FROM frames WHERE step IN (SELECT number FROM steps WHERE view = ?1)";
+            let forgotten = tx.execute(of_view, [view])?;
+            tx.execute("UPDATE steps SET state = 'planned', reason = '' WHERE view = ?1", [view])?;
+            insert_event(tx, event)?;
+            Ok(forgotten)
+        })
     }
 
     /// Commits one event.
@@ -280,6 +308,7 @@ impl Journal {
     /// # Errors
     /// [`ArchiveError::Journal`] and the disk's kinds.
     pub fn close(self) -> Result<()> {
+        self.must_work()?;
         let checkpoint = self.db.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |row| row.get::<_, i64>(0));
         checkpoint.map_err(|e| self.error(&e))?;
         self.db.close().map_err(|(_, e)| ArchiveError::sql(&self.path, &e))
@@ -305,15 +334,42 @@ impl Journal {
         Err(ArchiveError::NotARun { path: self.path.clone(), message })
     }
 
-    fn transaction<T>(&mut self, work: impl FnOnce(&Transaction<'_>) -> rusqlite::Result<T>) -> Result<T> {
-        let path = self.path.clone();
-        let run = || {
-            let tx = self.db.transaction()?;
-            let value = work(&tx)?;
-            tx.commit()?;
-            Ok(value)
-        };
-        run().map_err(|e| ArchiveError::sql(&path, &e))
+    fn on(db: Connection, path: &Path, disk: Arc<dyn Disk>) -> Journal {
+        let run = path.parent().unwrap_or(Path::new(""));
+        Journal { db, path: path.to_path_buf(), ballast: Ballast::of(run, Arc::clone(&disk)), disk, failed: None }
+    }
+
+    /// One transaction, all or nothing. A full disk is tried once more with the ballast's room; a failing one ends the
+    /// journal's use, because what its commit left behind is known only after it was opened anew.
+    fn transaction<T>(&mut self, work: impl Fn(&Transaction<'_>) -> rusqlite::Result<T>) -> Result<T> {
+        self.must_work()?;
+        let mut result = self.once(&work);
+        if result.as_ref().is_err_and(ArchiveError::is_full) && self.ballast.release() {
+            result = self.once(&work);
+        }
+        if let Err(ArchiveError::Failing { message, .. }) = &result {
+            self.failed = Some(message.clone());
+        }
+        result
+    }
+
+    fn once<T>(&mut self, work: &impl Fn(&Transaction<'_>) -> rusqlite::Result<T>) -> Result<T> {
+        let Journal { db, path, disk, .. } = self;
+        let sql = |e: rusqlite::Error| ArchiveError::sql(path, &e);
+        let told = |at| disk.commit(path, at).map_err(|e| ArchiveError::io("commit to", path, &e));
+        let tx = db.transaction().map_err(sql)?;
+        let value = work(&tx).map_err(sql)?;
+        told(Commit::Begins)?;
+        tx.commit().map_err(sql)?;
+        told(Commit::Done)?;
+        Ok(value)
+    }
+
+    fn must_work(&self) -> Result<()> {
+        match &self.failed {
+            Some(message) => Err(ArchiveError::Failing { path: self.path.clone(), message: message.clone() }),
+            None => Ok(()),
+        }
     }
 
     fn rows<T>(

@@ -7,6 +7,7 @@
 //!   frames.zarr/      Zarr v3: a group, one array a camera; one chunk = one frame = one immutable file
 //!   journal.sqlite    steps, frames, events; the row of a frame is committed after its file is in place
 //!   journal.seal      digests over the closed journal
+//!   journal.ballast   room for the last records of a full disk; only while the run is open
 //!   products/         can always be made again
 //! ```
 //!
@@ -14,8 +15,10 @@
 //! - [`frames`]: the frame store
 //! - [`journal`]: steps, frames and events in SQLite; [`rows`]: what its rows mean
 //! - [`layout`]: the shape of a run: arrays and steps
+//! - [`seal`]: digests over the closed journal and the products
 //! - [`verify`]: proves a run whole
-//! - [`disk`]: the atomic write everything goes through
+//! - [`disk`]: the one door to the file system; the atomic write
+//! - [`space`]: room proven before the start, ballast for the end
 //! - [`error`]: what can go wrong, in the words of the person who must act
 
 pub mod disk;
@@ -25,6 +28,8 @@ pub mod journal;
 pub mod layout;
 pub mod rows;
 pub mod rundir;
+pub mod seal;
+pub mod space;
 pub mod verify;
 
 pub use disk::write_atomic;

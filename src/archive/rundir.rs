@@ -1,11 +1,14 @@
 //! One run directory: made whole or not at all, opened to read, opened to go on, closed with a seal.
 
-use super::disk::{Disk, RealDisk, make_folders, sha256_hex, sync_folder};
+use super::disk::{Disk, RealDisk, TEMPORARY_PREFIX, make_folders, write_on};
 use super::error::{ArchiveError, Result};
 use super::frames::{FrameStore, Stored};
 use super::journal::Journal;
 use super::layout::RunLayout;
 use super::rows::{EventRow, FileRow, FrameRow};
+use super::seal::{PRODUCTS, SEAL, journal_seal};
+use super::space::Ballast;
+use crate::digest::sha256_hex;
 use goniod_drivers::frame::Pixels;
 use std::fs;
 use std::path::{Component, Path, PathBuf};
@@ -15,8 +18,6 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 pub const PLAN: &str = "plan.toml";
 /// The journal inside a run directory.
 pub const JOURNAL: &str = "journal.sqlite";
-/// Digests over the closed journal.
-pub const SEAL: &str = "journal.seal";
 
 /// What a new run starts from.
 #[derive(Debug, Clone)]
@@ -36,6 +37,7 @@ pub struct RunDir {
     path: PathBuf,
     store: FrameStore,
     journal: Mutex<Option<Journal>>,
+    disk: Arc<dyn Disk>,
     writable: bool,
 }
 
@@ -50,7 +52,7 @@ impl RunDir {
         RunDir::create_on(runs_dir, new, Arc::new(RealDisk))
     }
 
-    /// As [`RunDir::create`], the frames going through `disk`.
+    /// As [`RunDir::create`], everything going through `disk`.
     ///
     /// # Errors
     /// As [`RunDir::create`].
@@ -60,19 +62,19 @@ impl RunDir {
         if path.exists() {
             return Err(ArchiveError::Exists { path });
         }
-        make_folders(runs_dir)?;
+        make_folders(&*disk, runs_dir)?;
         let building = runs_dir.join(format!(".new-{}", new.run_id));
         // Left by a run that was killed while it was being made: it never had a frame.
         let _ = fs::remove_dir_all(&building);
         let built = fill(&building, new, Arc::clone(&disk)).and_then(|()| {
-            fs::rename(&building, &path).map_err(|e| ArchiveError::io("put the run into place", &path, &e))?;
-            sync_folder(runs_dir).map_err(|e| ArchiveError::io("sync the folder", runs_dir, &e))
+            disk.rename(&building, &path).map_err(|e| ArchiveError::io("put the run into place", &path, &e))?;
+            disk.sync_folder(runs_dir).map_err(|e| ArchiveError::io("sync the folder", runs_dir, &e))
         });
         if let Err(e) = built {
             let _ = fs::remove_dir_all(&building);
             return Err(e);
         }
-        RunDir::with_journal(&path, Journal::open(&path.join(JOURNAL))?, disk, true)
+        RunDir::to_write(&path, disk)
     }
 
     /// Opens a run to read; it may be under way or closed.
@@ -83,20 +85,30 @@ impl RunDir {
         RunDir::with_journal(path, Journal::open_read_only(&journal_of(path)?)?, Arc::new(RealDisk), false)
     }
 
-    /// Opens a run that was closed or cut short, to go on with it; its seal is broken until it is closed again.
+    /// Opens a run that was closed or cut short, to go on with it; its seal is broken until it is closed again, and what
+    /// unfinished writes left is removed.
     ///
     /// # Errors
     /// As [`RunDir::open`], and the disk's kinds.
     pub fn resume(path: &Path) -> Result<RunDir> {
-        let journal = Journal::open(&journal_of(path)?)?;
+        RunDir::resume_on(path, Arc::new(RealDisk))
+    }
+
+    /// As [`RunDir::resume`], everything going through `disk`.
+    ///
+    /// # Errors
+    /// As [`RunDir::resume`].
+    pub fn resume_on(path: &Path, disk: Arc<dyn Disk>) -> Result<RunDir> {
+        journal_of(path)?;
         let seal = path.join(SEAL);
-        match fs::remove_file(&seal) {
-            Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
-                return Err(ArchiveError::io("remove the seal", &seal, &e));
-            }
-            _ => {}
+        if seal.exists() {
+            // Durably gone before the journal changes: a seal beside another journal would tell of damage.
+            let remove = || disk.remove(&seal).and_then(|()| disk.sync_folder(path));
+            remove().map_err(|e| ArchiveError::io("remove the seal", &seal, &e))?;
         }
-        RunDir::with_journal(path, journal, Arc::new(RealDisk), true)
+        let run = RunDir::to_write(path, disk)?;
+        run.remove_unfinished();
+        Ok(run)
     }
 
     /// The run's folder.
@@ -142,14 +154,17 @@ impl RunDir {
         event: impl FnOnce(&Stored) -> EventRow,
     ) -> Result<FrameRow> {
         let (camera, array_index, exposure_index) = place;
-        let stored = self.store.put_frame(camera, array_index, exposure_index, pixels)?;
+        let put = self.store.put_frame(camera, array_index, exposure_index, pixels);
+        if put.as_ref().is_err_and(ArchiveError::is_full) {
+            // What is told of the end needs room now.
+            self.ballast().release();
+        }
+        let stored = put?;
         let event = event(&stored);
         let row = FrameRow { digest: stored.digest, bytes: stored.bytes, ..row };
-        if let Err(e) = self.with(|journal| journal.frame_stored(&row, &event)) {
-            // A frame that no row speaks of is none. Where it cannot be removed, `verify` tells it as left over.
-            let _ = fs::remove_file(self.store.chunk_path(camera, array_index, exposure_index));
-            return Err(e);
-        }
+        // The file stays even when the commit fails: a failing disk may have kept the row after all. Without a row it is
+        // left over, and the step's next frame replaces it.
+        self.with(|journal| journal.frame_stored(&row, &event))?;
         Ok(row)
     }
 
@@ -162,27 +177,54 @@ impl RunDir {
         if !self.writable {
             return Ok(());
         }
+        self.ballast().release();
         let rows = journal.row_digest()?;
         journal.close()?;
         let file = self.path.join(JOURNAL);
         let bytes = fs::read(&file).map_err(|e| ArchiveError::io("read", &file, &e))?;
-        super::write_atomic(&self.path.join(SEAL), seal_text(&sha256_hex(&bytes), &rows).as_bytes())
+        write_on(&*self.disk, &self.path.join(SEAL), journal_seal(&sha256_hex(&bytes), &rows).as_bytes())
+    }
+
+    /// Bytes that may still be written beside this run.
+    ///
+    /// # Errors
+    /// [`ArchiveError::Io`].
+    pub fn free(&self) -> Result<u64> {
+        self.disk.free(&self.path).map_err(|e| ArchiveError::io("tell the free room of", &self.path, &e))
+    }
+
+    fn to_write(path: &Path, disk: Arc<dyn Disk>) -> Result<RunDir> {
+        let journal = Journal::open(&journal_of(path)?, Arc::clone(&disk))?;
+        let run = RunDir::with_journal(path, journal, disk, true)?;
+        run.ballast().take();
+        Ok(run)
+    }
+
+    fn ballast(&self) -> Ballast {
+        Ballast::of(&self.path, Arc::clone(&self.disk))
+    }
+
+    /// Removes temporary files of the frame store. One that cannot be removed only takes space.
+    fn remove_unfinished(&self) {
+        let folders = self.store.layouts().map(|layout| self.path.join(super::frames::FRAMES).join(&layout.camera));
+        for folder in folders.chain([self.path.clone()]) {
+            for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+                if entry.file_name().to_string_lossy().starts_with(TEMPORARY_PREFIX) {
+                    let _ = self.disk.discard(&entry.path());
+                }
+            }
+        }
     }
 
     fn with_journal(path: &Path, journal: Journal, disk: Arc<dyn Disk>, writable: bool) -> Result<RunDir> {
-        let store = FrameStore::new(path, &journal.arrays()?, disk)?;
-        Ok(RunDir { path: path.to_path_buf(), store, journal: Mutex::new(Some(journal)), writable })
+        let store = FrameStore::new(path, &journal.arrays()?, Arc::clone(&disk))?;
+        Ok(RunDir { path: path.to_path_buf(), store, journal: Mutex::new(Some(journal)), disk, writable })
     }
 
     fn lock(&self) -> MutexGuard<'_, Option<Journal>> {
         // A thread that panicked has rolled its transaction back; the journal itself is sound.
         self.journal.lock().unwrap_or_else(PoisonError::into_inner)
     }
-}
-
-/// The seal's text: digest of the journal file, digest of its rows.
-pub(super) fn seal_text(file: &str, rows: &str) -> String {
-    format!("journal.sqlite sha256 {file}\nrows sha256 {rows}\n")
 }
 
 fn journal_of(path: &Path) -> Result<PathBuf> {
@@ -195,8 +237,8 @@ fn journal_of(path: &Path) -> Result<PathBuf> {
 }
 
 fn fill(building: &Path, new: &NewRun<'_>, disk: Arc<dyn Disk>) -> Result<()> {
-    make_folders(building)?;
-    let store = FrameStore::new(building, &new.layout.arrays, disk)?;
+    make_folders(&*disk, building)?;
+    let store = FrameStore::new(building, &new.layout.arrays, Arc::clone(&disk))?;
     let mut files = vec![(PathBuf::from(PLAN), new.plan_toml.as_bytes().to_vec())];
     files.append(&mut store.metadata_files()?);
     for (path, bytes) in new.files {
@@ -205,12 +247,12 @@ fn fill(building: &Path, new: &NewRun<'_>, disk: Arc<dyn Disk>) -> Result<()> {
     }
     let mut rows = Vec::with_capacity(files.len());
     for (path, bytes) in &files {
-        super::write_atomic(&building.join(path), bytes)?;
+        write_on(&*disk, &building.join(path), bytes)?;
         let parts: Vec<_> = path.components().map(|c| c.as_os_str().to_string_lossy().into_owned()).collect();
         rows.push(FileRow { path: parts.join("/"), digest: sha256_hex(bytes) });
     }
-    Journal::create(&building.join(JOURNAL), new.run_id, new.layout, &rows)?.close()?;
-    sync_folder(building).map_err(|e| ArchiveError::io("sync the folder", building, &e))
+    Journal::create(&building.join(JOURNAL), new.run_id, new.layout, &rows, Arc::clone(&disk))?.close()?;
+    disk.sync_folder(building).map_err(|e| ArchiveError::io("sync the folder", building, &e))
 }
 
 fn check_id(id: &str) -> Result<()> {
@@ -224,7 +266,7 @@ fn check_id(id: &str) -> Result<()> {
 fn check_copied(path: &Path) -> Result<()> {
     let plain = path.components().all(|c| matches!(c, Component::Normal(_)));
     let first = path.components().next().map(|c| c.as_os_str().to_string_lossy().into_owned()).unwrap_or_default();
-    let ours = first == PLAN || first.starts_with("journal.") || first == super::frames::FRAMES || first == "products";
+    let ours = first == PLAN || first.starts_with("journal.") || first == super::frames::FRAMES || first == PRODUCTS;
     if !plain || first.is_empty() || ours {
         return Err(ArchiveError::BadPath { path: path.to_path_buf() });
     }

@@ -1,11 +1,13 @@
 //! Proves a run whole: every file, chunk and row against the digests taken when it was written.
 
-use super::disk::{TEMPORARY_PREFIX, sha256_hex};
+use super::disk::TEMPORARY_PREFIX;
 use super::error::{ArchiveError, Result};
 use super::frames::FRAMES;
 use super::journal::Journal;
 use super::rows::{FrameRow, StepRow, StepState, Summary};
-use super::rundir::{JOURNAL, RunDir, SEAL, seal_text};
+use super::rundir::{JOURNAL, RunDir};
+use super::seal::{PRODUCTS, PRODUCTS_SEAL, ProductFault, SEAL, check_products, journal_seal};
+use crate::digest::sha256_hex;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -31,7 +33,11 @@ pub enum Finding {
     RowsDisagree(u32),
     /// SQLite finds damage, or the journal cannot be read.
     JournalDamaged(String),
-    /// The closed journal is not the one that was sealed.
+    /// A product has other bytes than were written.
+    ProductChanged(String),
+    /// A sealed product is gone.
+    ProductMissing(String),
+    /// The closed journal or the seal of the products is not as it was sealed.
     SealBroken(String),
 }
 
@@ -104,7 +110,7 @@ fn check_journal(path: &Path, report: &mut Verification) -> Result<()> {
     };
     let damage = journal.integrity()?;
     report.findings.extend(damage.into_iter().map(Finding::JournalDamaged));
-    if report.sealed && seal != seal_text(&sha256_hex(&bytes), &journal.row_digest()?).as_bytes() {
+    if report.sealed && seal != journal_seal(&sha256_hex(&bytes), &journal.row_digest()?).as_bytes() {
         let message = format!("{JOURNAL} or {SEAL} was changed after the run was closed");
         report.findings.push(Finding::SealBroken(message));
     }
@@ -135,7 +141,15 @@ fn check_run(path: &Path, report: &mut Verification) -> Result<()> {
     for step in frames.keys().filter(|n| !steps.iter().any(|s| s.layout.number == **n)) {
         report.findings.push(Finding::RowsDisagree(*step));
     }
-    check_orphans(path, &path.join(FRAMES), &known, report)
+    check_orphans(path, &path.join(FRAMES), &known, report)?;
+    for fault in check_products(path).unwrap_or_default() {
+        report.findings.push(match fault {
+            ProductFault::Seal => Finding::SealBroken(format!("{PRODUCTS}/{PRODUCTS_SEAL} was changed")),
+            ProductFault::Changed(name) => Finding::ProductChanged(name),
+            ProductFault::Missing(name) => Finding::ProductMissing(name),
+        });
+    }
+    Ok(())
 }
 
 fn check_step(

@@ -1,5 +1,6 @@
 //! `instrument.toml`: devices, ports, geometry, cameras, filter slots, limits, safe state.
 
+use super::night::{Interlocks, Recovery};
 use goniod_drivers::devices::camera::{AravisTable, V4l2Table};
 use goniod_drivers::frame::PixelFormat;
 use serde::{Deserialize, Serialize};
@@ -14,6 +15,9 @@ pub struct Instrument {
     pub name: String,
     /// Folder that run directories are made in, relative to the working directory.
     pub runs_dir: PathBuf,
+    /// Go on with an unfinished run of the same plan instead of beginning a new one.
+    #[serde(default)]
+    pub auto_resume: bool,
     /// Present when ports named `sim:…` belong to a simulated bench.
     pub simulation: Option<Simulation>,
     /// Lamp spectrum and warm-up.
@@ -38,6 +42,11 @@ pub struct Instrument {
     pub reference: References,
     /// What to do, in which order, to be safe.
     pub safe_state: SafeState,
+    /// What is done about failing devices.
+    #[serde(default)]
+    pub recovery: Recovery,
+    /// Conditions under which exposures wait or the run ends; absent = none.
+    pub interlocks: Option<Interlocks>,
 }
 
 /// Which simulated bench answers the `sim:…` ports.

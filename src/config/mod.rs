@@ -14,6 +14,7 @@ mod hint;
 pub mod incidence;
 pub mod instrument;
 pub mod load;
+pub mod night;
 pub mod pose;
 pub mod scan;
 pub mod schema;

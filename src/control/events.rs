@@ -2,7 +2,9 @@
 
 use super::devices::safe::SafeResult;
 use super::frames::guard::Rejection;
+use super::sequencer::interlocks::Trip;
 use super::sequencer::state::{Ending, State};
+use super::sequencer::verbs::Verb;
 use goniod_drivers::clock::UtcMicros;
 use goniod_drivers::contract::Identity;
 use goniod_drivers::error::ErrorKind;
@@ -80,11 +82,41 @@ pub enum Event {
         /// Name of the instrument file.
         device: String,
         /// Kind of the error.
-        error: Kind,
+        error: ErrorKind,
         /// The device's sentence.
         message: String,
         /// What is done about it.
         decision: String,
+    },
+    /// Something was asked of the run.
+    Asked {
+        /// What.
+        verb: Verb,
+        /// Why it was not carried out; absent when it was.
+        refused: Option<String>,
+    },
+    /// The interlocks stand otherwise than before.
+    Interlocks {
+        /// Conditions that suspend.
+        warnings: Vec<Trip>,
+        /// Conditions that end the run.
+        alarms: Vec<Trip>,
+    },
+    /// The light monitor was read.
+    LightRead {
+        /// View whose bracket begins or ends; absent between brackets.
+        view: Option<u32>,
+        /// Optical power, watts.
+        power_w: f64,
+        /// Its standard uncertainty from the scatter of the readings that it is the mean of, watts.
+        u_w: f64,
+    },
+    /// The lamp drifted within a bracket: its frames are thrown away and the bracket is taken again.
+    ViewRetaken {
+        /// View of the plan.
+        view: u32,
+        /// Relative change of the light monitor from its beginning to its end.
+        change: f64,
     },
     /// The archive gave an error.
     ArchiveError {
@@ -106,6 +138,12 @@ pub enum Event {
         device: String,
         /// How it went.
         outcome: SafeResult,
+        /// First command after the reason was known, milliseconds.
+        #[serde(default)]
+        began_ms: u64,
+        /// Proof or last answer after the reason was known, milliseconds.
+        #[serde(default)]
+        ended_ms: u64,
     },
     /// The run ended.
     RunEnded {
@@ -120,26 +158,6 @@ pub enum Event {
         /// What the operator must know, where there is something.
         message: Option<String>,
     },
-}
-
-/// Kind of a device's error, in journal and events.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Kind {
-    /// Works on something else.
-    Busy,
-    /// No answer in time.
-    Timeout,
-    /// An answer outside the protocol.
-    Garbled,
-    /// Understood and said no.
-    Refused,
-    /// The link is gone.
-    Lost,
-    /// Not the device the configuration names.
-    WrongDevice,
-    /// Reports a fault of its own.
-    Broken,
 }
 
 /// An event with its place in the run's history.
@@ -178,26 +196,14 @@ impl Event {
             Event::FrameStored { .. } => "frame-stored",
             Event::StepMissing { .. } => "step-missing",
             Event::DeviceError { .. } => "device-error",
+            Event::Asked { .. } => "asked",
+            Event::Interlocks { .. } => "interlocks",
+            Event::LightRead { .. } => "light-read",
+            Event::ViewRetaken { .. } => "view-retaken",
             Event::ArchiveError { .. } => "archive-error",
             Event::Progress { .. } => "progress",
             Event::SafeState { .. } => "safe-state",
             Event::RunEnded { .. } => "run-ended",
-        }
-    }
-}
-
-// === impl Kind ===
-
-impl From<ErrorKind> for Kind {
-    fn from(kind: ErrorKind) -> Kind {
-        match kind {
-            ErrorKind::Busy => Kind::Busy,
-            ErrorKind::Timeout => Kind::Timeout,
-            ErrorKind::Garbled => Kind::Garbled,
-            ErrorKind::Refused => Kind::Refused,
-            ErrorKind::Lost => Kind::Lost,
-            ErrorKind::WrongDevice => Kind::WrongDevice,
-            ErrorKind::Broken => Kind::Broken,
         }
     }
 }
@@ -226,15 +232,18 @@ impl EventBus {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::super::sequencer::interlocks::Reason;
     use super::*;
 
     #[test]
     fn the_kind_of_an_event_is_the_one_in_its_json_and_it_reads_back() {
         let events = [
             Event::RunStarted { steps: 3, to_do: 2 },
-            Event::StateChanged { from: State::Idle, to: State::Ended(Ending::Completed) },
+            Event::StateChanged { from: State::Idle, to: State::Safe(Ending::Completed) },
+            Event::StateChanged { from: State::Running, to: State::Suspended([Reason::Disk].into()) },
+            Event::Asked { verb: Verb::PauseNow, refused: None },
             Event::FrameRejected { step: 1, reason: Rejection::Damaged },
-            Event::SafeState { device: "shutter".to_owned(), outcome: SafeResult::Confirmed },
+            Event::SafeState { device: "shutter".to_owned(), outcome: SafeResult::Confirmed, began_ms: 0, ended_ms: 7 },
             Event::Progress { stored: 1, missing: 0, steps: 3 },
         ];
         for event in events {

@@ -9,11 +9,12 @@ mod simulated;
 
 pub use hardware::open_hardware;
 #[cfg(feature = "sim")]
-pub use simulated::{Faults, open_simulated, open_with_own_cameras};
+pub use simulated::{Faults, PaintedTruth, Schedule, open_simulated, open_with_own_cameras, read_pixels};
 
 use crate::config::check::Checked;
 use crate::config::instrument::{Axis, Instrument};
-use crate::control::devices::bench::{Bench, Devices};
+use crate::control::devices::bench::{Bench, Devices, Settle};
+use crate::control::sequencer::verbs::Verb;
 use goniod_drivers::clock::Clock;
 use goniod_drivers::contract::{Camera, FilterWheel, RotaryAxis, Shutter};
 use goniod_drivers::devices::{AxisConfig, ShutterConfig, WheelConfig};
@@ -25,6 +26,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Duration;
 use thiserror::Error;
+use tokio::sync::mpsc;
 
 /// Drivers of the simulated bench's own cameras that this build has, for the checks of instrument files.
 pub const CAMERA_DRIVERS: &[&str] = if cfg!(feature = "sim") { &["sim-ccd", "sim-ingaas"] } else { &[] };
@@ -89,6 +91,20 @@ pub struct Rehearsal {
     pub seed: Option<u64>,
     /// Sample file instead of the scan's.
     pub sample: Option<PathBuf>,
+    /// What goes wrong on the way.
+    pub faults: FaultMix,
+}
+
+/// How much goes wrong in a rehearsal.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum FaultMix {
+    /// Nothing.
+    #[default]
+    None,
+    /// A few faults that pass by themselves.
+    Typical,
+    /// Many, some at the same time, some that last.
+    Nasty,
 }
 
 /// A bench ready for the sequencer.
@@ -100,6 +116,21 @@ pub struct Opened {
     /// Where faults are put into the simulated bench; absent on hardware.
     #[cfg(feature = "sim")]
     pub faults: Option<Faults>,
+}
+
+/// Tells how often each kind of fault really happened so far.
+pub type Fired = Box<dyn Fn() -> BTreeMap<String, u32> + Send>;
+
+// === impl Opened ===
+
+impl Opened {
+    /// Begins what is to go wrong during a run forecast to last `span_s` seconds; `None` where nothing is.
+    pub fn begin_faults(&self, span_s: f64, verbs: mpsc::Sender<Verb>, clock: Clock) -> Option<Fired> {
+        #[cfg(feature = "sim")]
+        return self.faults.as_ref()?.begin(self.seed.unwrap_or_default(), span_s, verbs, clock);
+        #[cfg(not(feature = "sim"))]
+        None
+    }
 }
 
 /// True when what moves belongs to the simulated bench.
@@ -136,6 +167,18 @@ pub fn open_as_written(checked: &Checked, clock: Clock) -> Result<Opened, BenchE
     } else {
         open_hardware(checked, clock)
     }
+}
+
+/// The bench for the safe state alone: no calibration, no spectra, no sample; nothing is sent yet.
+///
+/// # Errors
+/// [`BenchError`]: a driver that is not in this build or refuses its configuration.
+pub fn open_direct(instrument: &Instrument, clock: Clock) -> Result<Bench, BenchError> {
+    #[cfg(feature = "sim")]
+    if is_simulated(instrument)? {
+        return Ok(Bench::new(simulated::direct(instrument, clock)?, Settle::of(instrument)));
+    }
+    Ok(Bench::new(hardware::direct(instrument, clock)?, Settle::of(instrument)))
 }
 
 /// The simulated bench of a build without one.

@@ -3,6 +3,8 @@
 use super::bench::Opened;
 use super::cli::exit::Exit;
 use super::cli::output::Failure;
+use crate::archive::disk::RealDisk;
+use crate::archive::space::must_fit;
 use crate::archive::{ArchiveError, NewRun, RunDir};
 use crate::config::check::Checked;
 use crate::control::events::EventBus;
@@ -11,10 +13,13 @@ use crate::control::plan::build::build;
 use crate::control::plan::document::{INPUTS, KeptFile, RunDocument};
 use crate::control::plan::forecast::Timing;
 use crate::control::sequencer::layout::layout;
+use crate::control::sequencer::recovery::Policies;
 use crate::control::sequencer::run::{Job, Outcome, run};
 use crate::control::sequencer::state::Ending;
 use crate::control::sequencer::verbs::Verb;
 use goniod_drivers::clock::{Clock, UtcMicros};
+use std::collections::BTreeMap;
+use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use tokio::sync::mpsc;
@@ -27,6 +32,10 @@ pub struct Night {
     pub run: Arc<RunDir>,
     /// Its path.
     pub path: PathBuf,
+    /// Serial numbers that the devices must have, where the run is gone on with.
+    pub serials: BTreeMap<String, String>,
+    /// Held while this process works on the run.
+    pub lock: File,
 }
 
 /// The plan of checked files.
@@ -55,6 +64,7 @@ pub fn prepare(
         run_id: run_id.clone(),
         goniod_version: env!("CARGO_PKG_VERSION").to_owned(),
         simulated_seed: seed,
+        virtual_time: clock.is_virtual(),
         started: stamp(clock.utc()).to_string(),
         files: files
             .clone()
@@ -69,9 +79,12 @@ pub fn prepare(
         .map_err(|e| Failure::new(Exit::Failed, format!("the plan cannot be written as TOML: {e}")))?;
     let kept: Vec<(PathBuf, Vec<u8>)> = files.map(|f| (Path::new(INPUTS).join(&f.name), f.bytes.clone())).collect();
     let shape = layout(&plan, &checked.instrument.camera).map_err(|e| Failure::new(Exit::BadInput, e.to_string()))?;
+    must_fit(&RealDisk, runs_dir, plan.forecast.raw_bytes).map_err(storage)?;
     let new = NewRun { run_id: &run_id, plan_toml: &text, files: &kept, layout: &shape };
     let run = RunDir::create(runs_dir, &new).map_err(storage)?;
-    Ok(Night { plan, run: Arc::new(run), path: runs_dir.join(run_id) })
+    let path = runs_dir.join(run_id);
+    let lock = hold(&path)?;
+    Ok(Night { plan, run: Arc::new(run), path, serials: BTreeMap::new(), lock })
 }
 
 /// Carries the plan out.
@@ -93,9 +106,28 @@ pub async fn measure(
         reserved_rows: checked.calibrations.iter().map(|(n, c)| (n.clone(), c.geometry.reserved_rows)).collect(),
         safe_state: instrument.safe_state.clone(),
         attempts: Job::ATTEMPTS,
-        retries: Job::RETRIES,
+        recovery: Policies::of(&instrument.recovery),
+        interlocks: instrument.interlocks.clone(),
+        serials: night.serials.clone(),
     };
     run(&job, &mut opened.bench, Arc::clone(&night.run), clock, verbs, events).await.map_err(storage)
+}
+
+/// Holds a run for this process; the system lets it go when the process ends, however it ends.
+///
+/// # Errors
+/// Another process works on the run, as a failed command; a folder that cannot be opened.
+pub fn hold(path: &Path) -> Result<File, Failure> {
+    let failed = |e: std::io::Error| Failure::new(Exit::Storage, format!("{}: {e}", path.display()));
+    let folder = File::open(path).map_err(failed)?;
+    match rustix::fs::flock(&folder, rustix::fs::FlockOperation::NonBlockingLockExclusive) {
+        Ok(()) => Ok(folder),
+        Err(rustix::io::Errno::WOULDBLOCK) => {
+            let message = format!("{}: another process works on this run; wait for it, or stop it", path.display());
+            Err(Failure::new(Exit::Failed, message))
+        }
+        Err(e) => Err(failed(e.into())),
+    }
 }
 
 /// The exit code of an outcome.
@@ -103,8 +135,9 @@ pub fn exit_of(outcome: &Outcome) -> Exit {
     match outcome.ending {
         Ending::Completed if outcome.summary.missing > 0 => Exit::Incomplete,
         Ending::Completed if outcome.is_safe() => Exit::Done,
-        Ending::Stopped | Ending::Aborted => Exit::Stopped,
+        Ending::Stopped | Ending::Aborted | Ending::MadeSafe => Exit::Stopped,
         Ending::DiskFull | Ending::ArchiveFailed => Exit::Storage,
+        Ending::Crashed => Exit::Failed,
         _ => Exit::Device,
     }
 }

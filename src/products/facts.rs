@@ -155,7 +155,7 @@ fn checks(run: &Run, set: &BsdfSet, facts: &Facts) -> Checks {
 
 /// Largest reciprocity error of the headline quantity over what was measured in both directions of light.
 fn reciprocity(run: &Run, set: &BsdfSet) -> Option<f64> {
-    let quantity = set.quantities.iter().position(|q| *q == Quantity::Visible).unwrap_or(0);
+    let quantity = Quantity::headline(&set.quantities);
     let matrix = |side| filled(run, set, quantity, side);
     let pairs = [
         (Side::TransmissionFront, Side::TransmissionBack),

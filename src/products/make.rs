@@ -11,15 +11,16 @@ use super::plots::canvas::Picture;
 use super::plots::{hemisphere, overview, spectrum};
 use super::reduce::{Reduction, Run, reduce};
 use super::report::{Figure, ProductFile, report};
-use crate::archive::disk::sha256_hex;
+use crate::archive::seal::seal_products;
 use crate::archive::write_atomic;
 use crate::config::scan::Format;
+use crate::digest::sha256_hex;
 use crate::engine::bsdf::set::{BsdfSet, Column, Quantity};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Folder of the run directory that holds products.
-pub const PRODUCTS: &str = "products";
+pub use crate::archive::seal::PRODUCTS;
+
 const KLEMS: &str = "Klems matrix, Visible and Solar: Radiance, WINDOW, EnergyPlus";
 const HDF5: &str = "everything with its uncertainty, NeXus layout: h5py, silx";
 
@@ -45,6 +46,8 @@ pub struct Made {
     pub files: Vec<PathBuf>,
     /// T and R in a few lines.
     pub headline: Vec<String>,
+    /// Products that the scan asks for and that the run's frames cannot give, each with the reason.
+    pub not_made: Vec<String>,
 }
 
 /// A file that was written, with what it is.
@@ -61,9 +64,11 @@ struct Maker<'a> {
     written: Vec<Written>,
     /// Exports of an earlier call.
     earlier: Vec<Written>,
+    not_made: Vec<String>,
 }
 
-/// Everything the scan asks for, plots and report.
+/// Everything the scan asks for, plots and report. An export that the run's frames cannot give is named in the report
+/// with the reason; the others are made all the same.
 ///
 /// # Errors
 /// [`ProductError`].
@@ -77,7 +82,14 @@ pub fn make_all(run: &Run) -> Result<Made> {
         })
         .collect();
     products.extend([Product::Plots, Product::Report]);
-    make(run, &products)
+    let mut maker = Maker::new(run)?;
+    for product in products {
+        match maker.make(product) {
+            Err(ProductError::Nothing(why)) => maker.not_made(product, &why),
+            made => made?,
+        }
+    }
+    maker.finish()
 }
 
 /// The products that are asked for, in this order.
@@ -85,24 +97,61 @@ pub fn make_all(run: &Run) -> Result<Made> {
 /// # Errors
 /// [`ProductError`].
 pub fn make(run: &Run, products: &[Product]) -> Result<Made> {
-    let reduction = reduce(run)?;
-    let context = context(run, &reduction.set, &reduction.facts)?;
-    let folder = run.dir.path().join(PRODUCTS);
-    let mut maker = Maker { run, folder, reduction, context, written: Vec::new(), earlier: Vec::new() };
+    let mut maker = Maker::new(run)?;
     for product in products {
-        match product {
-            Product::KlemsXml => maker.klems()?,
-            Product::KlemsXmlBands => maker.klems_bands()?,
-            Product::Hdf5 => maker.hdf5()?,
-            Product::Plots => maker.plots()?,
-            Product::Report => maker.report()?,
+        maker.make(*product)?;
+    }
+    maker.finish()
+}
+
+// === impl Product ===
+
+impl Product {
+    fn words(self) -> &'static str {
+        match self {
+            Product::KlemsXml => "Klems XML",
+            Product::KlemsXmlBands => "Klems XML of single bands",
+            Product::Hdf5 => "HDF5",
+            Product::Plots => "plots",
+            Product::Report => "report",
         }
     }
-    let files = maker.written.into_iter().map(|w| w.path).collect();
-    Ok(Made { files, headline: headline(&maker.reduction.set) })
 }
 
 // === impl Maker ===
+
+impl<'a> Maker<'a> {
+    fn new(run: &'a Run) -> Result<Maker<'a>> {
+        let reduction = reduce(run)?;
+        let context = context(run, &reduction.set, &reduction.facts)?;
+        let folder = run.dir.path().join(PRODUCTS);
+        Ok(Maker { run, folder, reduction, context, written: Vec::new(), earlier: Vec::new(), not_made: Vec::new() })
+    }
+
+    fn make(&mut self, product: Product) -> Result<()> {
+        match product {
+            Product::KlemsXml => self.klems(),
+            Product::KlemsXmlBands => self.klems_bands(),
+            Product::Hdf5 => self.hdf5(),
+            Product::Plots => self.plots(),
+            Product::Report => self.report(),
+        }
+    }
+
+    fn not_made(&mut self, product: Product, why: &str) {
+        let line = format!("NOT MADE: {}: {why}", product.words());
+        self.context.notes.push(line.clone());
+        self.not_made.push(line);
+    }
+
+    fn finish(self) -> Result<Made> {
+        let files: Vec<PathBuf> = self.written.into_iter().map(|w| w.path).collect();
+        seal_products(self.run.dir.path(), &files)?;
+        Ok(Made { files, headline: headline(&self.reduction.set), not_made: self.not_made })
+    }
+}
+
+// === what a maker makes ===
 
 impl Maker<'_> {
     fn write(&mut self, name: &str, bytes: &[u8], what: &str) -> Result<()> {
@@ -164,7 +213,7 @@ impl Maker<'_> {
             (
                 "overview",
                 "all measured columns of the headline quantity",
-                overview::overview(set, headline_quantity(set)),
+                overview::overview(set, Quantity::headline(&set.quantities)),
             ),
             ("spectrum", "bands and totals of the column nearest to the normal", spectrum_of(set)),
         ] {
@@ -229,15 +278,9 @@ fn shown_in_report(name: &Path, set: &BsdfSet) -> bool {
     name.extension().is_some_and(|e| e == "png") && !bands.map(Quantity::name).any(|b| stem.ends_with(&format!("-{b}")))
 }
 
-/// Visible where there is one, else the lamp-weighted total.
-fn headline_quantity(set: &BsdfSet) -> usize {
-    let at = |wanted: &dyn Fn(&Quantity) -> bool| set.quantities.iter().position(wanted);
-    at(&|q| *q == Quantity::Visible).or_else(|| at(&|q| matches!(q, Quantity::RadiometricTotal { .. }))).unwrap_or(0)
-}
-
 /// Of every side: the headline quantity in three directions from the normal outward, and every band at the first.
 fn featured(set: &BsdfSet) -> Vec<&Column> {
-    let headline = headline_quantity(set);
+    let headline = Quantity::headline(&set.quantities);
     let mut out = Vec::new();
     for side in crate::engine::optics::side::Side::ALL {
         let mut of: Vec<&Column> = set.columns.iter().filter(|c| c.side == side).collect();

@@ -9,6 +9,7 @@ pub mod error;
 pub mod export;
 mod facts;
 pub mod make;
+mod markup;
 pub mod plots;
 pub mod reduce;
 pub mod report;

@@ -285,10 +285,12 @@ mod tests {
         }
     }
 
+    type Edit = fn(&mut CameraInfo);
+
     #[test]
     fn each_difference_from_the_description_is_a_wrong_device_in_one_sentence() {
         assert_eq!(config().prove(&info()), Ok(()));
-        let changes: [(fn(&mut CameraInfo), &str); 6] = [
+        let changes: [(Edit, &str); 6] = [
             (|i| i.identity.serial = "S2".into(), "serial number \"S2\""),
             (|i| i.width = 640, "640 x 256"),
             (|i| i.height = 240, "320 x 240"),

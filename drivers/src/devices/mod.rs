@@ -4,17 +4,27 @@
 pub mod aravis;
 pub mod camera;
 pub mod cm110_wire;
+mod esp301_bus;
+pub mod esp301_protocol;
 pub mod lamp;
+pub mod lcus_relay;
+mod line_wire;
 pub mod newport_1830c;
+pub mod newport_esp301;
+pub mod newport_smc100;
 pub mod oceanoptics;
 pub mod oceanoptics_protocol;
 mod oceanoptics_scale;
+mod open_loop;
+pub mod optec_ifw;
 mod prompt;
+pub mod smc100_protocol;
 pub mod spectral_cm110;
 pub mod thorlabs_fw212c;
 pub mod thorlabs_pm100;
 mod thorlabs_pm100_text;
 pub mod thorlabs_sc10;
+pub mod uniblitz_vcm_d1;
 pub mod usbtmc;
 #[cfg(feature = "v4l2")]
 pub mod v4l2;
@@ -24,8 +34,12 @@ pub mod zaber_protocol;
 pub mod zaber_warning;
 
 pub use camera::CameraConfig;
+pub use esp301_bus::Esp301;
 pub use newport_1830c::Newport1830c;
+pub use newport_esp301::Esp301Axis;
+pub use newport_smc100::{Smc100, Smc100Axis};
 pub use oceanoptics::OceanOptics;
+pub use optec_ifw::OptecIfw;
 pub use spectral_cm110::Cm110;
 pub use thorlabs_fw212c::{Fw212c, WheelConfig};
 pub use thorlabs_pm100::Pm100;
@@ -60,6 +74,23 @@ pub struct AxisConfig {
     pub tolerance: Degrees,
     /// Wait after the axis stands.
     pub settle: Duration,
+}
+
+// === impl AxisConfig ===
+
+impl AxisConfig {
+    /// Time of a trapezoid over `distance` with the configured speed and acceleration (0 = no ramps).
+    pub(crate) fn travel(&self, distance: Degrees) -> Duration {
+        let (v, a) = (self.speed.0, self.acceleration_deg_per_s2);
+        let seconds = if a <= 0.0 {
+            distance.0 / v
+        } else if distance.0 * a < v * v {
+            2.0 * (distance.0 / a).sqrt()
+        } else {
+            distance.0 / v + v / a
+        };
+        Duration::try_from_secs_f64(seconds).unwrap_or(Duration::from_secs(3))
+    }
 }
 
 /// What the instrument file says about a monochromator.

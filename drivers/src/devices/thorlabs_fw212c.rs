@@ -109,11 +109,7 @@ impl Fw212c {
     }
 
     fn check_open(&self) -> Result<()> {
-        if self.open {
-            Ok(())
-        } else {
-            Err(self.wire.error(ErrorKind::Refused, "the wheel is not open; open it first"))
-        }
+        if self.open { Ok(()) } else { Err(self.wire.error(ErrorKind::Lost, "the wheel is not open; open it first")) }
     }
 
     /// The place now, with a note in the log when another hand moved it.

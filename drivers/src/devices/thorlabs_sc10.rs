@@ -122,7 +122,7 @@ impl Sc10 {
         if self.open {
             Ok(())
         } else {
-            Err(self.wire.error(ErrorKind::Refused, "the shutter device is not open; open it first"))
+            Err(self.wire.error(ErrorKind::Lost, "the shutter device is not open; open it first"))
         }
     }
 }

@@ -69,7 +69,7 @@ impl ZaberAxis {
     }
 
     fn scale(&self) -> Result<Scale> {
-        self.scale.ok_or_else(|| self.error(ErrorKind::Refused, "the axis is not open; open it first"))
+        self.scale.ok_or_else(|| self.error(ErrorKind::Lost, "the axis is not open; open it first"))
     }
 
     /// Reply of device (`axis` 0) or axis, accepted or rejected.
@@ -267,19 +267,6 @@ impl ZaberAxis {
         Ok(self.number(Setting::Position).await?.round() as i64)
     }
 
-    /// Time of a trapezoid over `distance` with the configured speed and acceleration.
-    fn travel(&self, distance: Degrees) -> Duration {
-        let (v, a) = (self.config.speed.0, self.config.acceleration_deg_per_s2);
-        let seconds = if a <= 0.0 {
-            distance.0 / v
-        } else if distance.0 * a < v * v {
-            2.0 * (distance.0 / a).sqrt()
-        } else {
-            distance.0 / v + v / a
-        };
-        Duration::try_from_secs_f64(seconds).unwrap_or(MOVE_MARGIN)
-    }
-
     /// The target in microsteps, or why it may not be commanded.
     fn check_target(&self, target: Degrees) -> Result<i64> {
         let (min, max) = self.limits();
@@ -418,7 +405,7 @@ impl RotaryAxis for ZaberAxis {
         }
         let from = scale.degrees(self.read_microsteps().await?);
         self.start_move(steps).await?;
-        self.wait_idle(self.travel(from.distance(target)) + MOVE_MARGIN).await?;
+        self.wait_idle(self.config.travel(from.distance(target)) + MOVE_MARGIN).await?;
         self.shared.clock.sleep(self.config.settle).await;
         let reached = scale.degrees(self.read_microsteps().await?);
         let after = self.warnings().await?;

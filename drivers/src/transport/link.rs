@@ -64,13 +64,20 @@ impl Link {
 
     /// The next line without its CR LF, or `None` at `deadline`. A line over 256 bytes is thrown away: `Garbled`.
     pub async fn line(&mut self, deadline: Instant) -> Result<Option<Vec<u8>>> {
+        let mut line = self.until(b'\n', deadline).await?;
+        if let Some(text) = line.as_mut().filter(|l| l.last() == Some(&b'\r')) {
+            text.pop();
+        }
+        Ok(line)
+    }
+
+    /// Everything up to the next byte `end` (without it), or `None` at `deadline`. More than 256 bytes are thrown away:
+    /// `Garbled`.
+    pub async fn until(&mut self, end: u8, deadline: Instant) -> Result<Option<Vec<u8>>> {
         loop {
-            if let Some(end) = self.unread.iter().position(|&b| b == b'\n') {
-                let mut line: Vec<u8> = self.unread.drain(..=end).collect();
+            if let Some(at) = self.unread.iter().position(|&b| b == end) {
+                let mut line: Vec<u8> = self.unread.drain(..=at).collect();
                 line.pop();
-                if line.last() == Some(&b'\r') {
-                    line.pop();
-                }
                 if line.len() > MAX_LINE {
                     return Err(self.garbled("a line of more than 256 bytes came"));
                 }

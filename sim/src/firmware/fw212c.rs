@@ -127,13 +127,20 @@ impl Fw212cTwin {
             WheelFault::PositionEmpty => self.position_empty = true,
             WheelFault::LostEdge => self.lost_edge = true,
             WheelFault::Button(steps) => {
-                self.turn(f64::from(steps), now);
+                // As with any turn, requests wait until it has arrived.
+                self.deaf_until = Some(self.turn(f64::from(steps), now));
             }
             WheelFault::PlaceCount(places) => self.spec.places = places,
             WheelFault::Restart => self.restart(now),
             WheelFault::RestartOnCommand => self.restart_on_command = true,
             WheelFault::Jam(jammed) => self.jammed = jammed,
         }
+    }
+
+    /// True while an injected fault waits for its occasion.
+    pub fn faults_wait(&self) -> bool {
+        let flags = [self.prompt_early, self.position_empty, self.lost_edge, self.restart_on_command];
+        self.port.faults_wait() || flags.contains(&true)
     }
 
     /// Place number of a track position.
@@ -201,9 +208,10 @@ impl Fw212cTwin {
             ("pos", Ok(place)) if (1..=self.spec.places).contains(&place) => self.go(place, now),
             ("speed", Ok(v @ (0 | 1))) => self.set(now, |w| w.speed = v),
             ("sensors", Ok(v @ (0 | 1))) => self.set(now, |w| w.sensors = v),
+            ("baud", Ok(0 | 1)) => self.port.done(now),
             ("trig", Ok(v @ (0 | 1))) => self.set(now, |w| w.trig = v),
             ("pcount", Ok(v @ (6 | 12))) => self.set(now, |w| w.spec.places = v),
-            ("pos" | "speed" | "sensors" | "trig" | "pcount", _) => self.port.error("CMD_ARG_INVALID", now),
+            ("pos" | "speed" | "sensors" | "trig" | "pcount" | "baud", _) => self.port.error("CMD_ARG_INVALID", now),
             _ => self.port.error("CMD_NOT_DEFINED", now),
         }
     }
@@ -259,6 +267,8 @@ impl Firmware for Fw212cTwin {
                 }
             } else if let Some(line) = self.port.byte(byte, now) {
                 self.request(&line, now);
+            } else if let Some(up) = self.port.arrow() {
+                self.turn(if up { 1.0 } else { -1.0 }, now);
             }
         }
     }

@@ -4,14 +4,23 @@
 //! so its truth can be asked for any instant, past or present. Faults are injected as values.
 
 pub mod cm110;
+pub mod esp301;
+mod esp301_axis;
+mod esp301_settings;
 pub mod fw212c;
+pub mod ifw;
+pub mod models;
 pub mod motion;
 pub mod newport_1830c;
+pub mod open_shutter;
 pub mod outbox;
 pub mod prompt;
 pub mod sc10;
+pub mod smc100;
+mod smc100_box;
 pub mod zaber;
 mod zaber_axis;
+mod zaber_stage;
 
 use tokio::time::Instant;
 

@@ -20,6 +20,8 @@ pub enum WireFault {
     Cut(usize),
     /// The byte at this place (modulo the length) is changed by this mask.
     Corrupt(usize, u8),
+    /// The byte at this place (modulo the length) is lost.
+    Drop(usize),
     /// These bytes come before the reply.
     Junk(Vec<u8>),
     /// The previous reply comes in place of this one.
@@ -43,6 +45,11 @@ impl Outbox {
     /// Lets `fault` happen to the next reply that has none yet.
     pub fn inject(&mut self, fault: WireFault) {
         self.faults.push_back(fault);
+    }
+
+    /// True while a fault waits for its reply.
+    pub fn faults_wait(&self) -> bool {
+        !self.faults.is_empty()
     }
 
     /// An echo that leaves at once and belongs to the reply that follows. With a fault waiting it is held back, so that
@@ -76,6 +83,13 @@ impl Outbox {
                 let len = whole.len().max(1);
                 if let Some(byte) = whole.get_mut(place % len) {
                     *byte ^= mask;
+                }
+                self.push(at, whole);
+            }
+            WireFault::Drop(place) => {
+                let len = whole.len().max(1);
+                if place % len < whole.len() {
+                    whole.remove(place % len);
                 }
                 self.push(at, whole);
             }

@@ -29,6 +29,11 @@ impl PromptPort {
         self.outbox.inject(fault);
     }
 
+    /// True while a fault waits for its occasion.
+    pub fn faults_wait(&self) -> bool {
+        self.mute_echo || self.outbox.faults_wait()
+    }
+
     /// Takes a byte; gives the request when it was the CR.
     pub fn byte(&mut self, byte: u8, now: Instant) -> Option<String> {
         if !self.mute_echo {
@@ -43,6 +48,17 @@ impl PromptPort {
             self.line.push(byte);
         }
         None
+    }
+
+    /// An arrow key (ESC `[` `A` or `B`) has just come: true for up.
+    pub fn arrow(&mut self) -> Option<bool> {
+        let up = match self.line.last_chunk::<3>()? {
+            b"\x1b[A" => true,
+            b"\x1b[B" => false,
+            _ => return None,
+        };
+        self.line.clear();
+        Some(up)
     }
 
     /// Value CR and prompt.

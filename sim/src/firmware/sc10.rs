@@ -52,6 +52,8 @@ pub struct Sc10Twin {
     repeats: u8,
     open_ms: u32,
     shut_ms: u32,
+    trig: u8,
+    xto: u8,
     interlock: bool,
     stuck: bool,
     sensor_dead: bool,
@@ -73,6 +75,8 @@ impl Sc10Twin {
             repeats: 1,
             open_ms: 100,
             shut_ms: 100,
+            trig: 0,
+            xto: 0,
             interlock: false,
             stuck: false,
             sensor_dead: false,
@@ -111,6 +115,11 @@ impl Sc10Twin {
         }
     }
 
+    /// True while an injected fault waits for its occasion.
+    pub fn faults_wait(&self) -> bool {
+        self.port.faults_wait() || self.prompt_lost || self.swallow || self.restart_on_command
+    }
+
     fn toggle(&mut self, now: Instant) {
         self.enabled = !self.enabled && !self.interlock;
         self.follow(now);
@@ -145,6 +154,15 @@ impl Sc10Twin {
             "rep?" => self.port.value(self.repeats, now),
             "open?" => self.port.value(self.open_ms, now),
             "shut?" => self.port.value(self.shut_ms, now),
+            "trig?" => self.port.value(self.trig, now),
+            "xto?" => self.port.value(self.xto, now),
+            "baud?" => self.port.value(0, now),
+            // Nothing is stored: a restart brings the factory's settings.
+            "save" | "savp" | "resp" => self.port.done(now),
+            "default" => {
+                (self.mode, self.repeats, self.open_ms, self.shut_ms, self.trig, self.xto) = (1, 1, 100, 100, 0, 0);
+                self.port.done(now);
+            }
             "interlock?" => self.port.value(u8::from(self.interlock), now),
             "closed?" => {
                 let closed = !self.sensor_dead && !self.light_passes(now);
@@ -165,8 +183,12 @@ impl Sc10Twin {
             ("rep", v @ 1..=99) => self.repeats = v as u8,
             ("open", v @ 0..=999_999) => self.open_ms = v,
             ("shut", v @ 0..=999_999) => self.shut_ms = v,
-            ("trig" | "xto", 0 | 1) => {}
-            ("mode" | "rep" | "open" | "shut" | "trig" | "xto", _) => return self.port.error("CMD_ARG_INVALID", now),
+            ("trig", v @ (0 | 1)) => self.trig = v as u8,
+            ("xto", v @ (0 | 1)) => self.xto = v as u8,
+            ("baud", 0 | 1) => {}
+            ("mode" | "rep" | "open" | "shut" | "trig" | "xto" | "baud", _) => {
+                return self.port.error("CMD_ARG_INVALID", now);
+            }
             _ => return self.port.error("CMD_NOT_DEFINED", now),
         }
         self.port.done(now);

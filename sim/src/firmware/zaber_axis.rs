@@ -184,6 +184,32 @@ impl AxisTwin {
         }
     }
 
+    /// Stops dead.
+    pub fn estop(&mut self, now: Instant) {
+        if self.busy(now) {
+            self.interrupted = true;
+            self.stuck = false;
+            self.pending = None;
+            self.track.freeze(now);
+        }
+    }
+
+    /// Moves at a speed in the units of `maxspeed`, until a limit.
+    pub fn run(&mut self, speed: f64, now: Instant) {
+        let limit = if speed > 0.0 { self.limit_max } else { self.limit_min };
+        self.begin(limit as f64 * 360.0 / CYCLE + self.offset_deg, self.speed_deg(speed.abs()), now);
+    }
+
+    /// When the motion under way ends by itself.
+    pub fn end_of_motion(&self) -> Option<Instant> {
+        self.track.end().filter(|end| !self.stuck && self.track.moving(*end - Duration::from_millis(1)))
+    }
+
+    /// The present position gets this counter value.
+    pub fn set_counter(&mut self, steps: i64, now: Instant) {
+        self.offset_deg = self.track.position(now) - steps as f64 * 360.0 / CYCLE;
+    }
+
     /// Power goes and comes back: the stage stays where it is, the firmware knows nothing.
     pub fn restart(&mut self, now: Instant) {
         self.track.freeze(now);

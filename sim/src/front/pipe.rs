@@ -33,8 +33,9 @@ struct Inner<T> {
 
 /// What the connection's task must know.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct State {
-    plugged: bool,
+pub(super) struct State {
+    /// The adapter is in.
+    pub plugged: bool,
     /// Counts connections; a task of an older one ends.
     connection: u64,
     /// Counts touches from outside, after which the twin may have something to say.
@@ -77,6 +78,16 @@ impl<T: Firmware> PipePort<T> {
     /// Looks at the twin's truth.
     pub fn peek<R>(&self, look: impl FnOnce(&T) -> R) -> R {
         look(&self.inner.twin())
+    }
+
+    /// The twin itself, for another front of the same port.
+    pub(super) fn twin(&self) -> MutexGuard<'_, T> {
+        self.inner.twin()
+    }
+
+    /// Tells when somebody touched the twin or the adapter.
+    pub(super) fn changes(&self) -> watch::Receiver<State> {
+        self.inner.state.subscribe()
     }
 
     /// Pulls the adapter out: the link dies, connecting fails.

@@ -1,9 +1,9 @@
 //! The simulated bench before a GigE Vision twin: the picture of the true pose during the exposure that the sensor really
 //! made, with the truth painted into the reserved rows, as the in-process camera paints it.
 
-use super::scene::{ExposureRequest, Scene};
 use crate::bench::Surroundings;
 use crate::camera::Look;
+use crate::scene::{ExposureRequest, Scene};
 use crate::truth::photo::Photographer;
 use goniod_drivers::frame::Pixels;
 use goniod_drivers::units::ExposureTime;

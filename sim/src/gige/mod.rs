@@ -4,7 +4,7 @@
 //! drives it. Its picture comes from a [`Scene`]; what it really did for every block is in [`GigeTwin::truth`], so a
 //! test can hold a frame's label against it. Every 127.0.0.x is a camera of its own, without configuration.
 //!
-//! - [`scene`]: what is photographed; [`bench_scene`]: the simulated bench as a scene
+//! - [`scene`](crate::scene): what is photographed; [`bench_scene`]: the simulated bench as a scene
 //! - [`faults`]: what can go wrong, and the record of truth
 //! - [`registers`], [`address`], [`xml`]: what it tells and obeys
 //! - [`gvcp`], [`gvsp`], [`pixel`]: the bytes
@@ -19,16 +19,15 @@ pub mod gvcp;
 pub mod gvsp;
 pub mod pixel;
 pub mod registers;
-pub mod scene;
 pub mod sensor;
 pub mod shared;
 pub mod xml;
 
+pub use crate::scene::{ExposureRequest, Painted, Reading, Scene, Tag};
 pub use bench_scene::BenchScene;
 pub use faults::{Faults, FrameFault, Traffic, Truth};
 pub use pixel::PixelCode;
 pub use registers::Sensor;
-pub use scene::{ExposureRequest, Painted, Reading, Scene, Tag};
 pub use shared::TwinConfig;
 
 use control::Control;

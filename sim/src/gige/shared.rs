@@ -3,7 +3,7 @@
 use super::faults::{Faults, Traffic, Truth};
 use super::gvsp::Block;
 use super::registers::{Registers, Sensor};
-use super::scene::Scene;
+use crate::scene::Scene;
 use std::collections::VecDeque;
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -1,11 +1,15 @@
 //! Every driver against its firmware twin, over the wire, in paused time.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
+mod esp301;
 mod holder;
+mod ifw;
 mod light_monitor;
 mod monochromator;
 mod noise;
+mod open_shutter;
 mod shutter;
+mod smc100;
 mod wheel;
 
 use goniod_drivers::clock::Clock;

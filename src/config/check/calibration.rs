@@ -191,7 +191,8 @@ fn responsivity(
     let path = folder(&loaded.source.path).join(&r.file);
     let role = format!("responsivity.{name}");
     let Some(curves) = inputs.curves(&mut report, key, &role, &path) else { return };
-    let wanted: &[&str] = if camera.format.mosaic().is_some() { &["r", "g", "b"] } else { &["value"] };
+    let coloured = camera.format.mosaic().is_some() || camera.format.values_per_pixel() > 1;
+    let wanted: &[&str] = if coloured { &["r", "g", "b"] } else { &["value"] };
     let lacking: Vec<&&str> = wanted.iter().filter(|w| curves.column(w).is_none()).collect();
     if !lacking.is_empty() || curves.names.len() != wanted.len() {
         report.error(

@@ -62,7 +62,16 @@ fn format(name: &str, camera: &Camera, report: &mut Report<'_>) {
             .error(&key, format!("`{key}` is a sum; write the format of one frame and `sum_frames` in its table v4l2"));
     }
     if let Some(caution) = camera.format.caution() {
-        report.error(&key, format!("`{key}` cannot be turned into radiance ({caution}); write a mono or Bayer format"));
+        report.warn(&key, format!("`{key}`: {caution}; choose a mono or Bayer format where the camera has one"));
+        if camera.format == PixelFormat::Yuyv8 && camera.width_px % 2 == 1 {
+            report.error(
+                &format!("camera.{name}.width_px"),
+                format!("`camera.{name}.width_px` is odd, but pixels of `{key}` come in pairs"),
+            );
+        }
+        if camera.driver != "v4l2" {
+            report.error(&key, format!("`{key}` comes through driver \"v4l2\" only; write a mono or Bayer format"));
+        }
     }
 }
 
@@ -123,6 +132,10 @@ fn v4l2(name: &str, camera: &Camera, table: &V4l2Table, report: &mut Report<'_>)
                 camera.longest_s
             ),
         );
+    }
+    if sums > 1 && camera.format.values_per_pixel() > 1 {
+        let key = at("sum_frames");
+        report.error(&key, format!("`{key}` is {sums}, but frames of {:?} cannot be summed; write 1", camera.format));
     }
     report.range(&at("buffers"), f64::from(table.buffers.unwrap_or(4)), 2.0, 32.0);
     report.positive(&at("command_limit_s"), table.command_limit_s.unwrap_or(2.0), 600.0);

@@ -29,6 +29,7 @@ pub(super) fn check(instrument: &Loaded<Instrument>, options: &Options, issues: 
     light::check(i, &mut report);
     cameras::check(i, &mut report);
     safe_state(i, &mut report);
+    super::night::check(i, &mut report);
 }
 
 /// Key, driver name and port of each device.
@@ -74,7 +75,7 @@ fn ports(i: &Instrument, report: &mut Report<'_>) {
     if let (Some((first, ..)), Some((device, _, port))) = (bench, real) {
         let key = format!("{device}.port");
         let message = format!(
-            "`{key}` is \"{port}\", but the port of {first} starts with `sim:`; what moves is all hardware or all simulated: make every such port `sim:…` or none"
+            "`{key}` is \"{port}\", but the port of {first} starts with `sim:`; what moves is all hardware or all simulated: make every port of holder, filter wheel and shutter `sim:…` or none"
         );
         report.error(&key, message);
     }

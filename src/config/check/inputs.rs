@@ -7,9 +7,9 @@ use crate::config::instrument::Instrument;
 use crate::config::load::Loaded;
 use crate::config::scan::Scan;
 use crate::config::source::read_bytes;
-use sha2::{Digest, Sha256};
+use crate::digest::sha256_hex;
 use std::collections::BTreeMap;
-use std::fmt::{self, Write};
+use std::fmt;
 use std::path::{Component, Path, PathBuf};
 
 /// A file that was read.
@@ -53,15 +53,6 @@ pub(super) struct Inputs {
     pub(super) responsivity: BTreeMap<String, Curves>,
 }
 
-/// SHA-256 of bytes, hexadecimal.
-pub fn sha256(bytes: &[u8]) -> String {
-    Sha256::digest(bytes).iter().fold(String::new(), |mut text, byte| {
-        // Writing into a String cannot fail.
-        let _ = write!(text, "{byte:02x}");
-        text
-    })
-}
-
 // === impl InputFile ===
 
 impl fmt::Debug for InputFile {
@@ -95,7 +86,7 @@ impl Inputs {
             role: role.to_owned(),
             name: name.clone(),
             path: path.to_owned(),
-            sha256: sha256(bytes),
+            sha256: sha256_hex(bytes),
             bytes: bytes.to_owned(),
         };
         self.files.insert(name, file);

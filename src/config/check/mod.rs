@@ -5,6 +5,7 @@ mod cameras;
 mod devices;
 mod inputs;
 mod light;
+mod night;
 mod optics;
 mod scan;
 #[cfg(test)]

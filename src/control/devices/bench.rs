@@ -56,10 +56,10 @@ pub struct Devices {
     pub wheel: Box<dyn FilterWheel>,
     /// Shutter.
     pub shutter: Box<dyn Shutter>,
-    /// Power meter that watches the lamp, where there is one.
-    pub light_monitor: Option<Box<dyn LightMonitor>>,
     /// Cameras by name.
     pub cameras: BTreeMap<String, Box<dyn Camera>>,
+    /// Power meter that watches the lamp, where there is one.
+    pub light_monitor: Option<Box<dyn LightMonitor>>,
 }
 
 /// How long to wait after a move, and how well an axis must stand.
@@ -208,6 +208,43 @@ impl Bench {
                 }
                 Ok(identity)
             }
+        }
+    }
+
+    /// Asks a device that is open whether it is well, without doubting its link: where it stands is unknown afterwards,
+    /// and an axis that has lost its place finds its reference.
+    ///
+    /// # Errors
+    /// The device's own.
+    pub async fn resynchronise(&mut self, id: &DeviceId, clock: Clock) -> Result<(), Fault> {
+        self.forget(id);
+        match id {
+            DeviceId::Shutter => limited(clock, QUESTION_LIMIT, id, self.devices.shutter.health()).await.map(drop),
+            DeviceId::FilterWheel => limited(clock, QUESTION_LIMIT, id, self.devices.wheel.health()).await.map(drop),
+            DeviceId::Camera(name) => match self.devices.cameras.get_mut(name) {
+                Some(camera) => limited(clock, QUESTION_LIMIT, id, camera.health()).await.map(drop),
+                None => Err(absent(id)),
+            },
+            DeviceId::Changer | DeviceId::Tilt | DeviceId::Spin => {
+                let axis = self.axis(id)?;
+                limited(clock, QUESTION_LIMIT, id, axis.health()).await?;
+                if limited(clock, QUESTION_LIMIT, id, axis.position()).await?.is_none() {
+                    limited(clock, HOME_LIMIT, id, axis.home()).await?;
+                }
+                Ok(())
+            }
+        }
+    }
+
+    /// Lets an axis find its reference; for anything else this is [`Bench::resynchronise`].
+    ///
+    /// # Errors
+    /// The device's own.
+    pub async fn rehome(&mut self, id: &DeviceId, clock: Clock) -> Result<(), Fault> {
+        self.forget(id);
+        match self.axis(id) {
+            Ok(axis) => limited(clock, HOME_LIMIT, id, axis.home()).await,
+            Err(_) => self.resynchronise(id, clock).await,
         }
     }
 

@@ -34,8 +34,8 @@ impl Bench {
         self.set_shutter(shutter_of(view), clock).await
     }
 
-    /// Asks wheel and shutter again whether they stand as the view needs them: what may trip silently is proven
-    /// after each exposure, before its frame is kept.
+    /// Asks shutter, wheel and axes again whether they stand as the view needs them: what may trip silently, be pushed or
+    /// be turned by hand is proven after each exposure, before its frame is kept.
     ///
     /// # Errors
     /// `Broken` of the device that stands elsewhere; its place is then unknown.
@@ -53,7 +53,23 @@ impl Bench {
             let message = format!("stood at {slot:?} instead of {} at the end of an exposure", view.slot);
             return Err(fault(&id, ErrorKind::Broken, message));
         }
-        Ok(())
+        if let Some(at_deg) = view.changer_deg {
+            self.prove_axis(&DeviceId::Changer, at_deg, self.settle.changer, clock).await?;
+        }
+        self.prove_axis(&DeviceId::Tilt, view.tilt_deg, self.settle.tilt, clock).await?;
+        self.prove_axis(&DeviceId::Spin, view.spin_deg, self.settle.spin, clock).await
+    }
+
+    async fn prove_axis(&mut self, id: &DeviceId, at_deg: f64, care: AxisCare, clock: Clock) -> Result<(), Fault> {
+        let axis = self.axis(id)?;
+        let position = limited(clock, QUESTION_LIMIT, id, axis.position()).await?;
+        if position.is_some_and(|p| p.distance(Degrees(at_deg)).0 <= care.tolerance_deg) {
+            return Ok(());
+        }
+        self.forget(id);
+        let stood = position.map_or("without reference".to_owned(), |p| format!("at {p}"));
+        let message = format!("stood {stood} instead of at {at_deg}° at the end of an exposure");
+        Err(fault(id, ErrorKind::Broken, message))
     }
 
     /// Brings the shutter to `state`, proves it and waits for it to settle; does nothing when it is known to be there.

@@ -12,11 +12,8 @@ use std::time::Duration;
 use thiserror::Error;
 use tokio::time::Instant;
 
-/// Limit for writing and reading back settings and for arming, beyond the drivers' own.
-const COMMAND_LIMIT: Duration = Duration::from_secs(30);
-
-/// Added to exposure and the driver's own promise when waiting for a frame.
-const FRAME_MARGIN: Duration = Duration::from_secs(10);
+/// Limit for writing and reading back settings and for arming, beyond the exposure: a camera may finish a frame first.
+const COMMAND_MARGIN: Duration = Duration::from_secs(5);
 
 /// Frames from before the arming that one attempt lets pass; more means that the stream is not what it says.
 const EARLY_FRAMES: u32 = 16;
@@ -105,13 +102,15 @@ async fn attempt_once(
     rejected: &mut Vec<Rejection>,
 ) -> Result<Result<(Frame, Picture), Rejection>, DeviceError> {
     let name = request.camera;
-    let applied = limited(clock, COMMAND_LIMIT, name, camera.apply(request.settings)).await?;
+    let command = request.settings.exposure.duration() + COMMAND_MARGIN;
+    let applied = limited(clock, command, name, camera.apply(request.settings)).await?;
     if !guard::settings_taken(request.settings, applied) {
         return Ok(Err(Rejection::SettingsNotTaken { exposure_us: applied.exposure.0, gain: applied.gain }));
     }
-    let armed = limited(clock, COMMAND_LIMIT, name, camera.arm()).await?;
+    let armed = limited(clock, command, name, camera.arm()).await?;
     let armed_at = clock.now();
-    let limit = applied.exposure.duration() + armed.due_within + FRAME_MARGIN;
+    // The camera's own promise: exposure, read-out and its margin. A frame that does not come then does not come.
+    let limit = armed.due_within;
     let stream = (&armed, armed_at, request.skip_rows);
     let (frame, previous_id) = match take(camera, history, stream, (clock, limit, name), rejected).await? {
         Ok(taken) => taken,

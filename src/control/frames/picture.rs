@@ -46,8 +46,9 @@ pub struct Picture {
 impl Picture {
     /// The picture below the first `skip_rows` rows; `None` when the pixels are not as many as the frame says.
     pub fn of(info: &FrameInfo, pixels: &Pixels, skip_rows: usize) -> Option<Picture> {
-        let first = skip_rows * info.width;
-        if pixels.len() != info.width * info.height || first >= pixels.len() {
+        let line = info.width * info.format.values_per_pixel();
+        let first = skip_rows * line;
+        if pixels.len() != line * info.height || first >= pixels.len() {
             return None;
         }
         // The highest level of a sum of n frames is n times that of one.

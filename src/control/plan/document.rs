@@ -20,6 +20,9 @@ pub struct RunDocument {
     pub goniod_version: String,
     /// Seed of the simulated bench; absent on hardware.
     pub simulated_seed: Option<u64>,
+    /// The run was rehearsed: its time is not that of the wall.
+    #[serde(default)]
+    pub virtual_time: bool,
     /// Start of the run, RFC 3339 in UTC.
     pub started: String,
     /// Files that were read, in `inputs/`.

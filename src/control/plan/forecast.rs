@@ -40,6 +40,8 @@ pub struct Timing {
     pub shutter_open_s: f64,
     /// Questions to wheel and shutter after each kept frame, seconds.
     pub prove_s: f64,
+    /// Questions to each axis after each kept frame, seconds.
+    pub prove_axis_s: f64,
     /// Making the bench safe at the end: quiet lines, closing, stopping; the wheel's turn to its blank on top, seconds.
     pub safe_s: f64,
     /// Frames without any light that are looked at a second time, in each bracket with light: none where the shortest
@@ -137,7 +139,7 @@ impl Default for Timing {
     ///   quiet times.
     /// - FW212C, 3 ms an answer: one place in 0.9 s, six in 2.9 s (the sheet, 4), so half a second beside 0.4 s a place;
     ///   1 for the turn, 2 for its proof; 2 after a frame.
-    /// - Zaber, 3 ms an answer: seven questions around a move, polls of 50 ms and one answer.
+    /// - Zaber, 3 ms an answer: seven questions around a move, polls of 50 ms and one answer; after a frame 3.
     fn default() -> Timing {
         Timing {
             open_shutter_s: 0.22,
@@ -149,6 +151,7 @@ impl Default for Timing {
             shutter_close_s: 0.088,
             shutter_open_s: 0.12,
             prove_s: 0.038,
+            prove_axis_s: 0.009,
             safe_s: 0.3,
             second_looks: 0.5,
         }
@@ -244,7 +247,9 @@ impl<'a> Bench<'a> {
         let period_s = (exposure_s + camera.readout_s).max(camera.frame_interval_s);
         self.streams.insert(name, Stream { start_s: now_s + waiting_s, period_s, exposure: step.exposure });
         self.forecast.exposing_s += exposure_s;
-        self.forecast.overhead_s += waiting_s + camera.readout_s + self.timing.prove_s;
+        let axes = if self.instrument.holder.changer.is_some() { 3.0 } else { 2.0 };
+        let proving_s = self.timing.prove_s + axes * self.timing.prove_axis_s;
+        self.forecast.overhead_s += waiting_s + camera.readout_s + proving_s;
         let pixels = camera.width_px as u64 * camera.height_px as u64;
         self.forecast.raw_bytes += pixels * bytes_per_pixel(camera.stored_format());
     }

@@ -5,12 +5,13 @@ use crate::control::devices::bench::{AxisCare, Bench, Devices, Settle};
 use async_trait::async_trait;
 use goniod_drivers::clock::Clock;
 use goniod_drivers::contract::{
-    Armed, Camera, CameraInfo, CameraSettings, Device, FilterWheel, Health, Identity, RotaryAxis, Shutter, ShutterState,
+    Armed, Camera, CameraInfo, CameraSettings, Device, FilterWheel, Health, Identity, LightMonitor, LightReading,
+    RotaryAxis, Shutter, ShutterState,
 };
 use goniod_drivers::error::{DeviceError, ErrorKind, Result};
 use goniod_drivers::frame::{Frame, FrameInfo, PixelFormat, Pixels};
-use goniod_drivers::units::{Degrees, DegreesPerSecond, ExposureTime, Slot};
-use std::collections::{BTreeMap, VecDeque};
+use goniod_drivers::units::{Degrees, DegreesPerSecond, ExposureTime, Nanometres, Slot};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -53,6 +54,20 @@ pub struct World {
     pub errors: BTreeMap<String, VecDeque<(ErrorKind, u32)>>,
     pub safe: Vec<String>,
     pub homed: u32,
+    /// Axes without a reference, as after a power cut.
+    pub lost_place: BTreeSet<String>,
+    /// Devices that never answer again.
+    pub hung: BTreeSet<String>,
+    /// A device whose next call ends in a panic.
+    pub panics: Option<String>,
+    /// Temperature of the cameras.
+    pub temperature_c: f64,
+    /// The shutter's interlock contact is open.
+    pub contact_open: bool,
+    /// Devices that give no health.
+    pub silent: BTreeSet<String>,
+    /// Power that the light monitor reads.
+    pub power_w: f64,
 }
 
 pub type Shared = Arc<Mutex<World>>;
@@ -65,6 +80,7 @@ struct Part {
 struct FakeAxis(Part);
 struct FakeWheel(Part);
 struct FakeShutter(Part);
+struct FakeMonitor(Part);
 
 struct FakeCamera {
     part: Part,
@@ -76,7 +92,12 @@ struct FakeCamera {
 }
 
 impl Part {
-    fn call(&self) -> Result<()> {
+    async fn call(&self) -> Result<()> {
+        if self.world.lock().unwrap().hung.contains(&self.name) {
+            std::future::pending::<()>().await;
+        }
+        let panics = self.world.lock().unwrap().panics.take_if(|name| *name == self.name);
+        assert_eq!(panics, None, "as the test wants it");
         let mut world = self.world.lock().unwrap();
         let Some(queue) = world.errors.get_mut(&self.name) else { return Ok(()) };
         let Some((kind, left)) = queue.front_mut() else { return Ok(()) };
@@ -86,6 +107,15 @@ impl Part {
             queue.pop_front();
         }
         Err(DeviceError::new(kind, self.name.clone(), "as the test wants it"))
+    }
+
+    fn health(&self) -> Result<Health> {
+        let world = self.world.lock().unwrap();
+        if world.silent.contains(&self.name) {
+            return Err(DeviceError::new(ErrorKind::Timeout, self.name.clone(), "as the test wants it"));
+        }
+        let warnings = world.contact_open.then(|| "interlock tripped".to_owned()).into_iter().collect();
+        Ok(Health { warnings, temperature_c: Some(world.temperature_c) })
     }
 
     fn identity(&self) -> Identity {
@@ -105,13 +135,13 @@ impl Part {
 #[async_trait]
 impl Device for FakeAxis {
     async fn open(&mut self) -> Result<Identity> {
-        self.0.call().map(|()| self.0.identity())
+        self.0.call().await.map(|()| self.0.identity())
     }
     async fn health(&mut self) -> Result<Health> {
         Ok(Health::default())
     }
     async fn make_safe(&mut self) -> Result<()> {
-        self.0.call().map(|()| self.0.safe())
+        self.0.call().await.map(|()| self.0.safe())
     }
 }
 
@@ -124,11 +154,16 @@ impl RotaryAxis for FakeAxis {
         (DegreesPerSecond(20.0), 40.0)
     }
     async fn home(&mut self) -> Result<()> {
-        self.0.world.lock().unwrap().homed += 1;
+        let mut world = self.0.world.lock().unwrap();
+        world.homed += 1;
+        world.lost_place.remove(&self.0.name);
         Ok(())
     }
     async fn move_to(&mut self, target: Degrees) -> Result<Degrees> {
-        self.0.call()?;
+        self.0.call().await?;
+        if self.0.world.lock().unwrap().lost_place.contains(&self.0.name) {
+            return Err(DeviceError::new(ErrorKind::Broken, self.0.name.clone(), "no reference"));
+        }
         self.0.moving();
         tokio::time::sleep(Duration::from_secs(2)).await;
         let mut world = self.0.world.lock().unwrap();
@@ -139,7 +174,9 @@ impl RotaryAxis for FakeAxis {
         Ok(target)
     }
     async fn position(&mut self) -> Result<Option<Degrees>> {
-        Ok(None)
+        let world = self.0.world.lock().unwrap();
+        let at = if self.0.name == "tilt" { world.tilt } else { world.spin };
+        Ok((!world.lost_place.contains(&self.0.name)).then_some(Degrees(at)))
     }
     async fn stop(&mut self) -> Result<()> {
         Ok(())
@@ -149,13 +186,13 @@ impl RotaryAxis for FakeAxis {
 #[async_trait]
 impl Device for FakeWheel {
     async fn open(&mut self) -> Result<Identity> {
-        self.0.call().map(|()| self.0.identity())
+        self.0.call().await.map(|()| self.0.identity())
     }
     async fn health(&mut self) -> Result<Health> {
         Ok(Health::default())
     }
     async fn make_safe(&mut self) -> Result<()> {
-        self.0.call()?;
+        self.0.call().await?;
         self.0.world.lock().unwrap().slot = Some(DARK_SLOT);
         self.0.safe();
         Ok(())
@@ -168,7 +205,7 @@ impl FilterWheel for FakeWheel {
         12
     }
     async fn select(&mut self, slot: Slot) -> Result<Slot> {
-        self.0.call()?;
+        self.0.call().await?;
         self.0.moving();
         tokio::time::sleep(Duration::from_secs(1)).await;
         self.0.world.lock().unwrap().slot = Some(slot);
@@ -182,13 +219,13 @@ impl FilterWheel for FakeWheel {
 #[async_trait]
 impl Device for FakeShutter {
     async fn open(&mut self) -> Result<Identity> {
-        self.0.call().map(|()| self.0.identity())
+        self.0.call().await.map(|()| self.0.identity())
     }
     async fn health(&mut self) -> Result<Health> {
-        Ok(Health::default())
+        self.0.health()
     }
     async fn make_safe(&mut self) -> Result<()> {
-        self.0.call()?;
+        self.0.call().await?;
         self.0.world.lock().unwrap().open = false;
         self.0.safe();
         Ok(())
@@ -198,7 +235,7 @@ impl Device for FakeShutter {
 #[async_trait]
 impl Shutter for FakeShutter {
     async fn set(&mut self, state: ShutterState) -> Result<()> {
-        self.0.call()?;
+        self.0.call().await?;
         self.0.world.lock().unwrap().open = state == ShutterState::Open;
         Ok(())
     }
@@ -211,15 +248,15 @@ impl Shutter for FakeShutter {
 #[async_trait]
 impl Device for FakeCamera {
     async fn open(&mut self) -> Result<Identity> {
-        self.part.call()?;
+        self.part.call().await?;
         self.id = 0;
         Ok(self.info.identity.clone())
     }
     async fn health(&mut self) -> Result<Health> {
-        Ok(Health::default())
+        self.part.health()
     }
     async fn make_safe(&mut self) -> Result<()> {
-        self.part.call().map(|()| self.part.safe())
+        self.part.call().await.map(|()| self.part.safe())
     }
 }
 
@@ -229,7 +266,7 @@ impl Camera for FakeCamera {
         &self.info
     }
     async fn apply(&mut self, settings: CameraSettings) -> Result<CameraSettings> {
-        self.part.call()?;
+        self.part.call().await?;
         self.settings = settings;
         Ok(settings)
     }
@@ -238,7 +275,10 @@ impl Camera for FakeCamera {
         Ok(Armed { not_before, discard: 1, due_within: Duration::from_secs(1) })
     }
     async fn next_frame(&mut self) -> Result<Frame> {
-        self.part.call()?;
+        if self.part.world.lock().unwrap().hung.contains(&format!("{}.frame", self.part.name)) {
+            std::future::pending::<()>().await;
+        }
+        self.part.call().await?;
         let number = {
             let mut world = self.part.world.lock().unwrap();
             let count = world.frames.entry(self.part.name.clone()).or_default();
@@ -285,6 +325,31 @@ impl Camera for FakeCamera {
     }
 }
 
+#[async_trait]
+impl Device for FakeMonitor {
+    async fn open(&mut self) -> Result<Identity> {
+        Ok(self.0.identity())
+    }
+    async fn health(&mut self) -> Result<Health> {
+        Ok(Health::default())
+    }
+    async fn make_safe(&mut self) -> Result<()> {
+        Ok(())
+    }
+}
+
+#[async_trait]
+impl LightMonitor for FakeMonitor {
+    async fn apply(&mut self, wavelength: Nanometres) -> Result<Nanometres> {
+        Ok(wavelength)
+    }
+    async fn read(&mut self) -> Result<LightReading> {
+        self.0.health()?;
+        let power_w = self.0.world.lock().unwrap().power_w;
+        Ok(LightReading { power_w, wavelength: Nanometres(555.0), saturated: false, at: tokio::time::Instant::now() })
+    }
+}
+
 impl FakeCamera {
     /// Truth in the first bytes (exposure, shutter, slot, tilt), then the response of eq. 4 to a gradient of light.
     fn render(&self, exposure: ExposureTime, number: u32) -> Pixels {
@@ -310,6 +375,8 @@ impl FakeCamera {
 /// A bench of two cameras, and its truth.
 pub fn bench(clock: Clock) -> (Bench, Shared) {
     let world = Shared::default();
+    world.lock().unwrap().lost_place = ["tilt", "spin"].map(str::to_owned).into();
+    world.lock().unwrap().power_w = 1e-3;
     let part = |name: &str| Part { name: name.to_owned(), world: Arc::clone(&world) };
     let camera = |name: &str| -> (String, Box<dyn Camera>) {
         let info = CameraInfo {
@@ -329,8 +396,8 @@ pub fn bench(clock: Clock) -> (Bench, Shared) {
         changer: None,
         wheel: Box::new(FakeWheel(part("filter_wheel"))),
         shutter: Box::new(FakeShutter(part("shutter"))),
-        light_monitor: None,
         cameras: [camera("ccd"), camera("ingaas")].into(),
+        light_monitor: Some(Box::new(FakeMonitor(part("light_monitor")))),
     };
     let axis = AxisCare { settle: Duration::from_millis(300), tolerance_deg: 0.05 };
     let (wheel, shutter) = (Duration::from_millis(200), Duration::from_millis(50));

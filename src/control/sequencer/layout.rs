@@ -35,7 +35,7 @@ pub fn layout(plan: &Plan, cameras: &BTreeMap<String, Camera>) -> Result<RunLayo
             views: array.views,
             exposures: array.exposures,
             rows: camera.height_px,
-            columns: camera.width_px,
+            columns: camera.width_px * camera.format.values_per_pixel(),
             format: camera.stored_format(),
         });
     }

@@ -1,5 +1,6 @@
 //! Frames and events on their way to the disk: one ordered queue, written by one blocking job after another, so that
 //! the journal of two equal nights is the same byte for byte. At most two frames wait; the next is then not started.
+//! A full disk is waited for: what could not be written is written when there is room.
 
 use crate::archive::rows::{EventRow, FrameRow, Summary};
 use crate::archive::{ArchiveError, RunDir};
@@ -7,6 +8,8 @@ use crate::control::events::{Event, EventBus, Stamped};
 use goniod_drivers::clock::{Clock, UtcMicros};
 use goniod_drivers::frame::Frame;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 
@@ -15,6 +18,9 @@ const UNWRITTEN_FRAMES: usize = 2;
 
 /// Events that may wait to be written.
 const UNWRITTEN_EVENTS: usize = 64;
+
+/// How often a full disk is tried again.
+const FULL_DISK_RHYTHM: Duration = Duration::from_secs(5);
 
 /// Where a frame goes, with what the journal keeps of it.
 pub struct FrameEntry {
@@ -31,8 +37,10 @@ pub struct FrameEntry {
 pub struct Standing {
     /// Steps by state.
     pub summary: Summary,
-    /// The first error of the archive: whether the disk is full, and its sentence.
+    /// The first error of the archive that was not waited out: whether the disk is full, and its sentence.
     pub failure: Option<(bool, String)>,
+    /// The disk is full and is waited for.
+    pub full: bool,
 }
 
 /// The sequencer's end of the queue.
@@ -42,12 +50,22 @@ pub struct Recorder {
     standing: watch::Receiver<Standing>,
     task: JoinHandle<()>,
     clock: Clock,
+    patient: watch::Sender<bool>,
+    untold: AtomicU64,
+}
+
+/// Room for one frame in the queue.
+pub struct FramePlace<'a> {
+    queue: mpsc::Permit<'a, Entry>,
+    unwritten: Option<OwnedSemaphorePermit>,
+    utc: UtcMicros,
 }
 
 enum Entry {
     Event(UtcMicros, Event),
-    Frame(UtcMicros, Box<FrameEntry>, Option<OwnedSemaphorePermit>),
+    Frame(UtcMicros, Arc<FrameEntry>, Option<OwnedSemaphorePermit>),
     Missing { utc: UtcMicros, step: u32, reason: String, event: Event },
+    Retake(UtcMicros, u32, Event),
     Flush(oneshot::Sender<()>),
 }
 
@@ -55,6 +73,9 @@ struct Writer {
     run: Arc<RunDir>,
     events: EventBus,
     standing: watch::Sender<Standing>,
+    /// False from when a full disk is no longer waited for.
+    patient: watch::Receiver<bool>,
+    clock: Clock,
     steps: u32,
     seq: u64,
 }
@@ -65,28 +86,64 @@ impl Recorder {
     /// Starts recording into `run`, whose journal stands as `summary`, the next event being number `seq`.
     pub fn start(run: Arc<RunDir>, summary: Summary, seq: u64, events: EventBus, clock: Clock) -> Recorder {
         let (queue, entries) = mpsc::channel(UNWRITTEN_EVENTS);
-        let (standing, watched) = watch::channel(Standing { summary, failure: None });
+        let (standing, watched) = watch::channel(Standing { summary, failure: None, full: false });
+        let (patient, patience) = watch::channel(true);
         let steps = summary.planned + summary.stored + summary.missing;
-        let writer = Writer { run, events, standing, steps, seq };
+        let writer = Writer { run, events, standing, patient: patience, clock, steps, seq };
         let task = tokio::spawn(writer.work(entries));
-        Recorder { queue, frames: Arc::new(Semaphore::new(UNWRITTEN_FRAMES)), standing: watched, task, clock }
+        let frames = Arc::new(Semaphore::new(UNWRITTEN_FRAMES));
+        Recorder { queue, frames, standing: watched, task, clock, patient, untold: AtomicU64::new(0) }
     }
 
-    /// Puts an event into the queue.
+    /// Puts an event into the queue. While the disk is full, one that finds no room is dropped and counted: the run
+    /// must stay answerable.
     pub async fn event(&self, event: Event) {
-        self.put(Entry::Event(self.clock.utc(), event)).await;
+        match self.queue.try_send(Entry::Event(self.clock.utc(), event)) {
+            Err(mpsc::error::TrySendError::Full(_)) if self.standing.borrow().full => {
+                self.untold.fetch_add(1, Ordering::Relaxed);
+            }
+            Err(mpsc::error::TrySendError::Full(entry)) => self.put(entry).await,
+            // The writer only ends with the queue; were it gone, the standing says so.
+            Ok(()) | Err(mpsc::error::TrySendError::Closed(_)) => {}
+        }
     }
 
-    /// Puts a frame into the queue; waits while two are unwritten.
-    pub async fn frame(&self, entry: FrameEntry) {
-        let permit = Arc::clone(&self.frames).acquire_owned().await.ok();
-        self.put(Entry::Frame(self.clock.utc(), Box::new(entry), permit)).await;
+    /// Events that found no room in the queue.
+    pub fn untold(&self) -> u64 {
+        self.untold.load(Ordering::Relaxed)
+    }
+
+    /// Waits for room for a frame; while two are unwritten there is none. Dropping the future loses nothing. `None`
+    /// when nothing is recorded any more.
+    pub async fn frame_place(&self) -> Option<FramePlace<'_>> {
+        let unwritten = Arc::clone(&self.frames).acquire_owned().await.ok();
+        let queue = self.queue.reserve().await.ok()?;
+        Some(FramePlace { queue, unwritten, utc: self.clock.utc() })
+    }
+
+    /// Waits until the archive fails or its disk is full.
+    pub async fn until_trouble(&self) {
+        let mut standing = self.standing.clone();
+        // The writer gone is no trouble of the disk; nothing more will be told.
+        if standing.wait_for(|s| s.full || s.failure.is_some()).await.is_err() {
+            std::future::pending().await
+        }
+    }
+
+    /// From now on a full disk is a failure like any other.
+    pub fn lose_patience(&self) {
+        self.patient.send_replace(false);
     }
 
     /// Puts a missing exposure into the queue.
     pub async fn missing(&self, step: u32, view: u32, reason: String) {
         let event = Event::StepMissing { step, view, reason: reason.clone() };
         self.put(Entry::Missing { utc: self.clock.utc(), step, reason, event }).await;
+    }
+
+    /// Has the frames of a view forgotten and its steps planned again.
+    pub async fn retake(&self, view: u32, change: f64) {
+        self.put(Entry::Retake(self.clock.utc(), view, Event::ViewRetaken { view, change })).await;
     }
 
     /// Waits until everything in the queue is written.
@@ -117,6 +174,15 @@ impl Recorder {
     }
 }
 
+// === impl FramePlace ===
+
+impl FramePlace<'_> {
+    /// Puts the frame into its place.
+    pub fn put(self, entry: FrameEntry) {
+        self.queue.send(Entry::Frame(self.utc, Arc::new(entry), self.unwritten));
+    }
+}
+
 // === impl Writer ===
 
 impl Writer {
@@ -124,8 +190,9 @@ impl Writer {
         while let Some(entry) = entries.recv().await {
             match entry {
                 Entry::Event(utc, event) => self.event(utc, event).await,
-                Entry::Frame(utc, entry, permit) => self.frame(utc, *entry, permit).await,
+                Entry::Frame(utc, entry, permit) => self.frame(utc, entry, permit).await,
                 Entry::Missing { utc, step, reason, event } => self.missing(utc, step, reason, event).await,
+                Entry::Retake(utc, view, event) => self.retake(utc, view, event).await,
                 Entry::Flush(done) => drop(done),
             }
         }
@@ -134,13 +201,13 @@ impl Writer {
     async fn event(&mut self, utc: UtcMicros, event: Event) {
         if event.journalled() {
             let row = row(self.seq, utc, &event);
-            let written = self.blocking(move |run| run.with(|journal| journal.event(&row))).await;
+            let written = self.persist(move |run| run.with(|journal| journal.event(&row))).await;
             self.note(written.err());
         }
         self.tell(utc, event);
     }
 
-    async fn frame(&mut self, utc: UtcMicros, entry: FrameEntry, permit: Option<OwnedSemaphorePermit>) {
+    async fn frame(&mut self, utc: UtcMicros, entry: Arc<FrameEntry>, permit: Option<OwnedSemaphorePermit>) {
         if self.standing.borrow().failure.is_some() {
             return;
         }
@@ -148,11 +215,10 @@ impl Writer {
         let stored = move |bytes| Event::FrameStored { step, bytes, attempts, rejected };
         let seq = self.seq;
         let work = move |run: &RunDir| {
-            let FrameEntry { place, frame, row: frame_row } = entry;
-            let place = (place.0.as_str(), place.1, place.2);
-            run.store(place, &frame.pixels, frame_row, |chunk| row(seq, utc, &stored(chunk.bytes)))
+            let place = (entry.place.0.as_str(), entry.place.1, entry.place.2);
+            run.store(place, &entry.frame.pixels, entry.row.clone(), |chunk| row(seq, utc, &stored(chunk.bytes)))
         };
-        match self.blocking(work).await {
+        match self.persist(work).await {
             Ok(frame) => {
                 self.standing.send_modify(|s| {
                     s.summary.planned = s.summary.planned.saturating_sub(1);
@@ -173,7 +239,7 @@ impl Writer {
             return;
         }
         let row = row(self.seq, utc, &event);
-        let written = self.blocking(move |run| run.with(|journal| journal.step_missing(step, &reason, &row))).await;
+        let written = self.persist(move |run| run.with(|journal| journal.step_missing(step, &reason, &row))).await;
         if written.is_ok() {
             self.standing.send_modify(|s| {
                 s.summary.planned = s.summary.planned.saturating_sub(1);
@@ -185,15 +251,44 @@ impl Writer {
         self.note(written.err());
     }
 
-    async fn blocking<T: Send + 'static>(
-        &self,
-        work: impl FnOnce(&RunDir) -> Result<T, ArchiveError> + Send + 'static,
+    async fn retake(&mut self, utc: UtcMicros, view: u32, event: Event) {
+        let row = row(self.seq, utc, &event);
+        let again = move |run: &RunDir| {
+            run.with(|journal| {
+                journal.plan_view_again(view, &row)?;
+                journal.summary()
+            })
+        };
+        match self.persist(again).await {
+            Ok(summary) => {
+                self.standing.send_modify(|s| s.summary = summary);
+                self.tell(utc, event);
+                self.progress(utc);
+            }
+            Err(e) => self.note(Some(e)),
+        }
+    }
+
+    /// Does `work` on a blocking thread; while the disk is full it is done again and again, as long as there is patience.
+    async fn persist<T: Send + 'static>(
+        &mut self,
+        work: impl Fn(&RunDir) -> Result<T, ArchiveError> + Send + Sync + 'static,
     ) -> Result<T, ArchiveError> {
-        let run = Arc::clone(&self.run);
-        let path = run.path().to_path_buf();
-        tokio::task::spawn_blocking(move || work(&run))
-            .await
-            .unwrap_or_else(|e| Err(ArchiveError::Io { what: "finish writing", path, message: e.to_string() }))
+        let work = Arc::new(work);
+        loop {
+            let (run, job) = (Arc::clone(&self.run), Arc::clone(&work));
+            let path = run.path().to_path_buf();
+            let done = tokio::task::spawn_blocking(move || job(&run))
+                .await
+                .unwrap_or_else(|e| Err(ArchiveError::Io { what: "finish writing", path, message: e.to_string() }));
+            let full = done.as_ref().is_err_and(ArchiveError::is_full);
+            let wait = full && *self.patient.borrow() && self.standing.borrow().failure.is_none();
+            self.standing.send_if_modified(|s| std::mem::replace(&mut s.full, wait) != wait);
+            if !wait {
+                return done;
+            }
+            let _ = self.clock.timeout(FULL_DISK_RHYTHM, self.patient.wait_for(|patient| !patient)).await;
+        }
     }
 
     fn note(&self, error: Option<ArchiveError>) {

@@ -1,20 +1,18 @@
 //! One exposure: pose, frame, proof, with bounded recovery from what devices do.
 
-use super::recorder::{FrameEntry, Recorder};
-use super::recovery::{Decision, decide};
+use super::memory::{Aid, Held, Memory};
+use super::recovery::{Case, Decision, Part, Phase, decide};
 use super::run::Job;
-use super::state::Ending;
-use crate::archive::rows::FrameRow;
+use super::stage::Stage;
+use super::state::{Ending, Input};
 use crate::control::devices::bench::{Bench, DeviceId, Fault};
 use crate::control::events::Event;
 use crate::control::frames::acquire::{AcquireError, Acquired, Request, acquire};
 use crate::control::frames::bracket::Bracket;
-use crate::control::frames::guard::{Rejection, StreamHistory};
 use crate::control::plan::{Step, Subject, View};
-use goniod_drivers::clock::Clock;
 use goniod_drivers::contract::CameraSettings;
 use goniod_drivers::error::{DeviceError, ErrorKind};
-use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
 
 /// How an exposure ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -23,22 +21,10 @@ pub(super) enum StepEnd {
     Taken,
     /// It cannot be had, for this reason.
     Missing(String),
+    /// A device is lost; it is opened anew after this time, or when somebody asks.
+    Lost(DeviceId, Option<Duration>),
     /// The run must end.
     End(Ending, String),
-}
-
-/// What outlives an exposure.
-#[derive(Debug, Default)]
-pub(super) struct Memory {
-    histories: BTreeMap<String, StreamHistory>,
-    bracket: Bracket,
-    bracket_view: Option<u32>,
-    /// The last frame of the bracket, kept back until the next one agrees with it.
-    held: Option<Held>,
-    /// Devices to be opened anew before they are used.
-    broken: BTreeSet<DeviceId>,
-    /// Exposures given up in a row, by device.
-    given_up: BTreeMap<DeviceId, u32>,
 }
 
 /// Everything one exposure needs.
@@ -46,17 +32,7 @@ pub(super) struct Hands<'a> {
     pub(super) job: &'a Job<'a>,
     pub(super) bench: &'a mut Bench,
     pub(super) memory: &'a mut Memory,
-    pub(super) recorder: &'a Recorder,
-    pub(super) clock: Clock,
-}
-
-/// A frame that passed the guard, and where it belongs.
-#[derive(Debug)]
-struct Held {
-    view: View,
-    step: Step,
-    acquired: Acquired,
-    rejected: u32,
+    pub(super) stage: &'a Stage,
 }
 
 /// How the tries of an exposure came out.
@@ -77,27 +53,34 @@ impl Hands<'_> {
     /// Opens every device, with the same recovery as an exposure.
     pub(super) async fn check(&mut self) -> Result<(), (Ending, String)> {
         for id in self.bench.ids() {
-            let mut failed = 0;
-            while let Err(fault) = self.open(&id).await {
-                failed += 1;
-                match self.recover(fault, failed).await {
+            while let Err(fault) = self.aid(&id, Aid::Reopen).await {
+                match self.recover(fault, Phase::Start, None).await {
                     None => {}
                     Some(StepEnd::End(ending, why)) => return Err((ending, why)),
                     Some(StepEnd::Missing(why)) => return Err((Ending::NotReady, why)),
+                    Some(StepEnd::Lost(id, _)) => return Err((Ending::NotReady, format!("{id} is lost"))),
                     Some(StepEnd::Taken) => break,
                 }
             }
+            self.memory.works(&id);
         }
         Ok(())
     }
 
     /// Takes the frame of one step. It goes to the recorder when the next of its bracket agrees with it; where several
-    /// looks at the next contradict it, it is the one to be doubted and is taken again, once.
+    /// looks at the next contradict it, it is the one to be doubted and is taken again, once. Dropping the future loses
+    /// no frame that was taken before.
     pub(super) async fn take(&mut self, view: &View, step: &Step) -> StepEnd {
         if self.memory.bracket_view != Some(view.id) {
-            self.memory.release(self.recorder).await;
+            self.memory.release(self.stage.recorder()).await;
             self.memory.bracket = Bracket::default();
             self.memory.bracket_view = Some(view.id);
+        }
+        if let Some(why) = self.memory.given_up(view.id) {
+            return StepEnd::Missing(why);
+        }
+        if let Some(end) = self.settle_doubt(view).await {
+            return end;
         }
         let (mut doubted, mut before) = (false, 0);
         loop {
@@ -112,50 +95,51 @@ impl Hands<'_> {
                     error
                 }
             };
-            let Some((held, reason)) = (!doubted).then(|| self.memory.doubt(view, &error)).flatten() else {
+            let Some((number, reason)) = (!doubted).then(|| self.memory.doubt_held(view, &error)).flatten() else {
                 return StepEnd::Missing(error.to_string());
             };
             doubted = true;
-            self.recorder.event(Event::FrameRejected { step: held.step.number, reason }).await;
-            if let Some(end) = self.again(view, &held).await {
+            self.stage.recorder().event(Event::FrameRejected { step: number, reason }).await;
+            if let Some(end) = self.settle_doubt(view).await {
                 return end;
             }
         }
     }
 
-    /// Takes a doubted frame again; `Some` when the run must end.
-    async fn again(&mut self, view: &View, doubted: &Held) -> Option<StepEnd> {
-        let step = &doubted.step;
-        let reason = match self.tries(view, step).await {
+    /// Takes a doubted frame again, where there is one; `Some` when this exposure cannot go on.
+    async fn settle_doubt(&mut self, view: &View) -> Option<StepEnd> {
+        let (step, already) = self.memory.doubted.as_ref().map(|held| (held.step.clone(), held.rejected))?;
+        let reason = match self.tries(view, &step).await {
             Tried::Passed(acquired, rejected) => {
-                self.hold(view, step, acquired, doubted.rejected + 1 + rejected).await;
+                self.memory.doubted = None;
+                self.hold(view, &step, acquired, already + 1 + rejected).await;
                 return None;
             }
             Tried::Unfit(error, _) => error.to_string(),
             Tried::Ended(StepEnd::Missing(reason)) => reason,
             Tried::Ended(end) => return Some(end),
         };
-        self.recorder.missing(step.number, view.id, reason).await;
-        None
+        self.stage.recorder().missing(step.number, view.id, reason).await;
+        self.memory.doubted = None;
+        self.memory.given_up(view.id).map(StepEnd::Missing)
     }
 
     /// Tries an exposure until it passes, with bounded recovery.
     async fn tries(&mut self, view: &View, step: &Step) -> Tried {
-        let (mut failed, mut rejected) = (0, 0);
+        let mut rejected = 0;
         loop {
             match self.try_once(view, step, &mut rejected).await {
                 Ok(acquired) => {
-                    for id in needed(view) {
-                        self.memory.given_up.remove(&id);
-                    }
+                    needed(view).iter().for_each(|id| self.memory.works(id));
+                    self.stage.go(Input::Recovered).await;
                     return Tried::Passed(acquired, rejected);
                 }
-                Err(Failure::Unfit(error)) => return Tried::Unfit(error, rejected),
+                Err(Failure::Unfit(error)) => {
+                    self.stage.go(Input::Recovered).await;
+                    return Tried::Unfit(error, rejected);
+                }
                 Err(Failure::Fault(fault)) => {
-                    failed += 1;
-                    let device = fault.device.clone();
-                    if let Some(end) = self.recover(fault, failed).await {
-                        *self.memory.given_up.entry(device).or_default() += 1;
+                    if let Some(end) = self.recover(fault, Phase::Exposure, Some(view.id)).await {
                         return Tried::Ended(end);
                     }
                 }
@@ -163,43 +147,86 @@ impl Hands<'_> {
         }
     }
 
-    /// Decides about a fault and waits where it is to be tried again; `Some` when it is not.
-    async fn recover(&mut self, fault: Fault, failed: u32) -> Option<StepEnd> {
-        let Fault { device, error } = fault;
-        let given_up = self.memory.given_up.get(&device).copied().unwrap_or(0);
-        let decision = decide(error.kind, failed, self.job.retries, given_up);
-        let sentence = match decision {
-            Decision::Retry { after, reopen: true } => format!("opened anew in {} s", after.as_secs()),
-            Decision::Retry { after, reopen: false } => format!("tried again in {} s", after.as_secs()),
-            Decision::GiveUp => "given up for this exposure".to_owned(),
-            Decision::End => "the run ends".to_owned(),
-        };
-        let (name, message) = (device.to_string(), error.to_string());
-        let kind = error.kind.into();
-        self.recorder.event(Event::DeviceError { device: name, error: kind, message, decision: sentence }).await;
-        if error.kind != ErrorKind::Busy {
-            self.bench.forget(&device);
-            self.memory.broken.insert(device.clone());
-        }
+    /// Opens a lost device anew. `None`: it is there again.
+    pub(super) async fn try_lost(&mut self, id: &DeviceId, view: u32) -> Option<StepEnd> {
+        let fault = self.aid(id, Aid::Reopen).await.err()?;
+        let (decision, why) = self.judge(fault, Phase::Exposure).await;
         match decision {
-            Decision::Retry { after, .. } => {
-                self.clock.sleep(after).await;
+            Decision::Suspend(after) => Some(StepEnd::Lost(id.clone(), Some(after))),
+            Decision::Hold => Some(StepEnd::Lost(id.clone(), None)),
+            Decision::GiveUp => {
+                self.memory.give_up(id, view, &why);
                 None
             }
-            Decision::GiveUp => Some(StepEnd::Missing(format!("{device}: {error}"))),
-            Decision::End => Some(StepEnd::End(Ending::DeviceRefused, format!("{device}: {error}"))),
+            Decision::End => Some(StepEnd::End(ending(&why.error, Phase::Exposure), why.to_string())),
+            // The policy still has gentler aid; it is due at once, because the run stands still.
+            _ => Some(StepEnd::Lost(id.clone(), Some(decision.wait()))),
         }
+    }
+
+    /// Decides about a fault and waits where it is to be tried again; `Some` when it is not.
+    async fn recover(&mut self, fault: Fault, phase: Phase, view: Option<u32>) -> Option<StepEnd> {
+        let (decision, fault) = self.judge(fault, phase).await;
+        let id = fault.device.clone();
+        let aid = match decision {
+            Decision::Retry(_) => None,
+            Decision::Resynchronise(_) | Decision::Retake(_) => Some(Aid::Ask),
+            Decision::Rehome(_) => Some(Aid::Home),
+            _ => Some(Aid::Reopen),
+        };
+        if let Some(aid) = aid {
+            self.bench.forget(&id);
+            self.memory.needs(&id, aid);
+        }
+        match decision {
+            Decision::GiveUp => {
+                if let Some(view) = view {
+                    self.memory.give_up(&id, view, &fault);
+                }
+                self.stage.go(Input::Recovered).await;
+                Some(StepEnd::Missing(fault.to_string()))
+            }
+            Decision::End => Some(StepEnd::End(ending(&fault.error, phase), fault.to_string())),
+            Decision::Suspend(after) => Some(StepEnd::Lost(id, Some(after))),
+            Decision::Hold => Some(StepEnd::Lost(id, None)),
+            _ => {
+                self.stage.clock().sleep(decision.wait()).await;
+                None
+            }
+        }
+    }
+
+    /// Decides about a fault and records it.
+    async fn judge(&mut self, fault: Fault, phase: Phase) -> (Decision, Fault) {
+        let Fault { device, error } = &fault;
+        let now = self.stage.clock().now();
+        let trouble = self.memory.fails(device, now);
+        let case = Case {
+            kind: error.kind,
+            part: Part::of(device),
+            phase,
+            failures: trouble.failures,
+            outage: now - trouble.since,
+            given_up: trouble.given_up,
+        };
+        let decision = decide(&case, &self.job.recovery.of_device(device));
+        let (name, message) = (device.to_string(), error.to_string());
+        let event = Event::DeviceError { device: name, error: error.kind, message, decision: decision.words() };
+        self.stage.recorder().event(event).await;
+        self.stage.go(Input::Fault).await;
+        (decision, fault)
     }
 
     async fn try_once(&mut self, view: &View, step: &Step, rejected: &mut u32) -> Result<Acquired, Failure> {
         for id in needed(view) {
-            if self.memory.broken.contains(&id) {
-                self.open(&id).await.map_err(Failure::Fault)?;
+            if let Some(aid) = self.memory.aid(&id) {
+                self.aid(&id, aid).await.map_err(Failure::Fault)?;
             }
         }
-        self.bench.pose_for(view, self.clock).await.map_err(Failure::Fault)?;
+        let clock = self.stage.clock();
+        self.bench.pose_for(view, clock).await.map_err(Failure::Fault)?;
         let acquired = self.acquire(view, step, rejected).await?;
-        self.bench.prove(view, self.clock).await.map_err(Failure::Fault)?;
+        self.bench.prove(view, clock).await.map_err(Failure::Fault)?;
         Ok(acquired)
     }
 
@@ -223,10 +250,10 @@ impl Hands<'_> {
         };
         let history = self.memory.histories.entry(view.camera.clone()).or_default();
         let mut reasons = Vec::new();
-        let taken = acquire(camera.as_mut(), history, &request, self.clock, &mut reasons).await;
+        let taken = acquire(camera.as_mut(), history, &request, self.stage.clock(), &mut reasons).await;
         *rejected += reasons.len() as u32;
         for reason in reasons {
-            self.recorder.event(Event::FrameRejected { step: step.number, reason }).await;
+            self.stage.recorder().event(Event::FrameRejected { step: step.number, reason }).await;
         }
         taken.map_err(|e| match e {
             AcquireError::Device(error) => Failure::Fault(Fault { device: id, error }),
@@ -234,56 +261,44 @@ impl Hands<'_> {
         })
     }
 
-    async fn open(&mut self, id: &DeviceId) -> Result<(), Fault> {
-        let identity = self.bench.open(id, self.clock).await?;
-        self.memory.broken.remove(id);
-        if let DeviceId::Camera(name) = id {
-            self.memory.histories.entry(name.clone()).or_default().reopened();
+    /// Brings a device back into a known condition. Where it stands is unknown afterwards, so that it is commanded anew.
+    async fn aid(&mut self, id: &DeviceId, aid: Aid) -> Result<(), Fault> {
+        let clock = self.stage.clock();
+        match aid {
+            Aid::Ask => self.bench.resynchronise(id, clock).await?,
+            Aid::Home => self.bench.rehome(id, clock).await?,
+            Aid::Reopen => {
+                let identity = self.bench.open(id, clock).await?;
+                let name = id.to_string();
+                if let Some(serial) = self.job.serials.get(&name).filter(|s| **s != identity.serial) {
+                    let message = format!("has serial number {}, the run began with {serial}", identity.serial);
+                    let error = DeviceError::new(ErrorKind::WrongDevice, name, message);
+                    return Err(Fault { device: id.clone(), error });
+                }
+                if let DeviceId::Camera(name) = id {
+                    self.memory.histories.entry(name.clone()).or_default().reopened();
+                }
+                self.stage.recorder().event(Event::DeviceOpened { device: name, identity }).await;
+            }
         }
-        self.recorder.event(Event::DeviceOpened { device: id.to_string(), identity }).await;
+        self.memory.aided(id);
         Ok(())
     }
 
     /// Hands the frame held so far to the recorder and holds this one.
     async fn hold(&mut self, view: &View, step: &Step, acquired: Acquired, rejected: u32) {
-        self.memory.release(self.recorder).await;
+        self.memory.release(self.stage.recorder()).await;
         self.memory.bracket.add(step.exposure, acquired.picture.clone());
         self.memory.held = Some(Held { view: view.clone(), step: step.clone(), acquired, rejected });
     }
 }
 
-// === impl Memory ===
-
-impl Memory {
-    /// Hands the held frame to the recorder: nothing more can be said against it.
-    pub(super) async fn release(&mut self, recorder: &Recorder) {
-        let Some(Held { view, step, acquired, rejected }) = self.held.take() else { return };
-        let Acquired { frame, attempts, .. } = acquired;
-        let info = &frame.info;
-        let row = FrameRow {
-            step: step.number,
-            digest: String::new(),
-            bytes: 0,
-            utc_us: info.utc.0,
-            device_frame_id: info.device_frame_id,
-            exposure_us: info.settings.exposure.0,
-            camera_serial: info.camera_serial.clone(),
-            attempts,
-            rejected,
-        };
-        let place = (view.camera, view.array_index, step.exposure_index);
-        recorder.frame(FrameEntry { place, frame, row }).await;
-    }
-
-    /// The held frame, taken out, where it is what the looks at the next one contradict.
-    fn doubt(&mut self, view: &View, error: &AcquireError) -> Option<(Held, Rejection)> {
-        let AcquireError::Rejected { last: reason @ Rejection::Bracket(contradiction), .. } = error else {
-            return None;
-        };
-        let concerns = |held: &Held| held.view.id == view.id && held.step.exposure.0 == contradiction.other_us;
-        let held = self.held.take_if(|held| concerns(held))?;
-        self.bracket.remove(held.step.exposure);
-        Some((held, reason.clone()))
+/// What a run that ends because of a device is told to have ended by.
+fn ending(error: &DeviceError, phase: Phase) -> Ending {
+    match (error.kind, phase) {
+        (ErrorKind::Refused | ErrorKind::WrongDevice, _) => Ending::DeviceRefused,
+        (_, Phase::Start) => Ending::NotReady,
+        (_, Phase::Exposure) => Ending::DeviceLost,
     }
 }
 

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 use super::fakes::{self, DARK_SLOT, HEIGHT, RESERVED, Shared, WIDTH, Wrong};
+use super::recovery::Policies;
 use super::state::Ending;
 use super::verbs::Verb;
 use super::{Job, Outcome, run};
@@ -19,6 +20,7 @@ use goniod_drivers::clock::{Clock, UtcMicros};
 use goniod_drivers::error::ErrorKind;
 use goniod_drivers::frame::{PixelFormat, Pixels};
 use goniod_drivers::units::{ExposureTime, Slot};
+use std::collections::BTreeMap;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -29,7 +31,7 @@ use tokio::sync::mpsc;
 const EXPOSURES_US: [u64; 3] = [10_000, 40_000, 160_000];
 const FOR_EVER: u32 = u32::MAX;
 
-fn view(id: u32, array_index: u32, camera: &str, slot: u8, tilt_deg: f64) -> View {
+pub(super) fn view(id: u32, array_index: u32, camera: &str, slot: u8, tilt_deg: f64) -> View {
     let dark = slot == DARK_SLOT.0;
     let incident = Direction::from_degrees(0.0, 0.0);
     let sample = Subject::Sample { side: Side::TransmissionFront, incident };
@@ -48,7 +50,7 @@ fn view(id: u32, array_index: u32, camera: &str, slot: u8, tilt_deg: f64) -> Vie
 }
 
 /// A dark, three views of the CCD and one of the InGaAs camera, three exposures each: 15 steps.
-fn plan() -> Plan {
+pub(super) fn plan() -> Plan {
     let views = vec![
         view(0, 0, "ccd", DARK_SLOT.0, 180.0),
         view(1, 1, "ccd", 1, 180.0),
@@ -73,7 +75,7 @@ fn plan() -> Plan {
     }
 }
 
-fn layout_of(plan: &Plan) -> RunLayout {
+pub(super) fn layout_of(plan: &Plan) -> RunLayout {
     let array = |a: &FrameArray| ArrayLayout {
         camera: a.camera.clone(),
         views: a.views,
@@ -100,12 +102,12 @@ fn layout_of(plan: &Plan) -> RunLayout {
     }
 }
 
-struct Night {
-    outcome: Outcome,
-    world: Shared,
-    path: PathBuf,
-    events: Vec<Event>,
-    _runs: tempfile::TempDir,
+pub(super) struct Night {
+    pub(super) outcome: Outcome,
+    pub(super) world: Shared,
+    pub(super) path: PathBuf,
+    pub(super) events: Vec<Event>,
+    pub(super) _runs: tempfile::TempDir,
 }
 
 /// One night on the fake bench: faults set by `prepare`, a verb asked for after a time, frames going to `disk`.
@@ -135,6 +137,20 @@ async fn night(prepare: impl FnOnce(&mut fakes::World), asked: Option<(Duration,
     Night { outcome, world, path, events, _runs: runs }
 }
 
+pub(super) fn job(plan: &Plan) -> Job<'_> {
+    let order = ["shutter", "filter_wheel", "tilt", "spin", "changer", "cameras"].map(str::to_owned).to_vec();
+    Job {
+        plan,
+        gains: [("ccd".to_owned(), 0.0), ("ingaas".to_owned(), 0.0)].into(),
+        reserved_rows: [("ccd".to_owned(), RESERVED), ("ingaas".to_owned(), RESERVED)].into(),
+        safe_state: SafeState { order, limit_s: 10.0 },
+        attempts: Job::ATTEMPTS,
+        recovery: Policies::default(),
+        interlocks: None,
+        serials: BTreeMap::new(),
+    }
+}
+
 async fn carry_out(
     plan: &Plan,
     bench: &mut crate::control::devices::bench::Bench,
@@ -142,20 +158,12 @@ async fn carry_out(
     clock: Clock,
     verbs: mpsc::Receiver<Verb>,
 ) -> Outcome {
-    let order = ["shutter", "filter_wheel", "tilt", "spin", "changer", "cameras"].map(str::to_owned).to_vec();
-    let job = Job {
-        plan,
-        gains: [("ccd".to_owned(), 0.0), ("ingaas".to_owned(), 0.0)].into(),
-        reserved_rows: [("ccd".to_owned(), RESERVED), ("ingaas".to_owned(), RESERVED)].into(),
-        safe_state: SafeState { order, limit_s: 10.0 },
-        attempts: Job::ATTEMPTS,
-        retries: Job::RETRIES,
-    };
+    let job = job(plan);
     run(&job, bench, archive, clock, verbs, &EventBus::default()).await.unwrap()
 }
 
 /// The truth painted into every stored frame against the plan; gives how many there are.
-fn stored_under_true_labels(path: &Path) -> usize {
+pub(super) fn stored_under_true_labels(path: &Path) -> usize {
     let (plan, run) = (plan(), RunDir::open(path).unwrap());
     let mut stored = 0;
     for row in run.with(|j| j.steps()).unwrap() {
@@ -176,14 +184,14 @@ fn stored_under_true_labels(path: &Path) -> usize {
     stored
 }
 
-fn is_safe(night: &Night) {
+pub(super) fn is_safe(night: &Night) {
     let world = night.world.lock().unwrap();
     assert!(!world.open, "the shutter is closed");
     assert_eq!(world.slot, Some(DARK_SLOT), "the wheel is dark");
     assert_eq!(world.moved_in_light, 0, "nothing moved with the shutter open");
 }
 
-fn counts(outcome: &Outcome) -> (u32, u32, u32) {
+pub(super) fn counts(outcome: &Outcome) -> (u32, u32, u32) {
     (outcome.summary.stored, outcome.summary.missing, outcome.summary.planned)
 }
 

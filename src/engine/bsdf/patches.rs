@@ -62,6 +62,19 @@ impl PatchMean {
         self.measured + self.below_floor
     }
 
+    fn scaled(&self, factor: f64) -> PatchMean {
+        PatchMean {
+            rate: self.rate * factor,
+            u_random: self.u_random * factor,
+            u_floor: self.u_floor * factor,
+            u_response: self.u_response * factor,
+            u_geometry: self.u_geometry.map(|u| u * factor),
+            max: self.max * factor,
+            lower_bound: self.lower_bound * factor,
+            ..*self
+        }
+    }
+
     fn blend(&self, other: &PatchMean, weight: f64) -> PatchMean {
         if self.rate.is_nan() || other.rate.is_nan() {
             return if self.rate.is_nan() { *other } else { *self };
@@ -105,6 +118,12 @@ impl ViewPatches {
             .map(|(a, b)| a.iter().zip(b).map(|(a, b)| a.blend(b, weight)).collect())
             .collect();
         Ok(ViewPatches { channels })
+    }
+
+    /// The view as it would be under another level of the lamp: every rate and its uncertainties times `factor`.
+    pub fn scaled(&self, factor: f64) -> ViewPatches {
+        let scale = |patches: &Vec<PatchMean>| patches.iter().map(|p| p.scaled(factor)).collect();
+        ViewPatches { channels: self.channels.iter().map(scale).collect() }
     }
 
     /// Mean ratio other/self of one channel over patches both have, weighted by rate: how the lamp drifted between

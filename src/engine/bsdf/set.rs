@@ -75,6 +75,13 @@ pub struct BsdfSet {
 // === impl Quantity ===
 
 impl Quantity {
+    /// Index of the quantity that speaks for a result: Visible where there is one, else the lamp-weighted total, else
+    /// the first.
+    pub fn headline(quantities: &[Quantity]) -> usize {
+        let at = |wanted: fn(&Quantity) -> bool| quantities.iter().position(wanted);
+        at(|q| *q == Quantity::Visible).or_else(|| at(|q| matches!(q, Quantity::RadiometricTotal { .. }))).unwrap_or(0)
+    }
+
     /// Short name for files and plots.
     pub fn name(&self) -> String {
         match self {

@@ -3,7 +3,7 @@
 use super::{BenchError, Opened, devices};
 use crate::config::check::Checked;
 use crate::config::instrument::{self, Instrument};
-use crate::control::devices::bench::{Bench, Settle};
+use crate::control::devices::bench::{Bench, Devices, Settle};
 use goniod_drivers::clock::Clock;
 use goniod_drivers::contract::Camera;
 use goniod_drivers::devices::CameraConfig;
@@ -25,6 +25,13 @@ pub fn open_hardware(checked: &Checked, clock: Clock) -> Result<Opened, BenchErr
         #[cfg(feature = "sim")]
         faults: None,
     })
+}
+
+/// What moves, and every real camera whose driver can be had: for the safe state, one missing must not stop the others.
+pub(super) fn direct(instrument: &Instrument, clock: Clock) -> Result<Devices, BenchError> {
+    let real = instrument.camera.iter().filter(|(_, c)| !c.driver.starts_with("sim-"));
+    let cameras = real.filter_map(|(name, c)| Some((name.clone(), camera(name, c, clock).ok()?))).collect();
+    devices(instrument, clock, |driver, port| connect(driver, port, clock), cameras)
 }
 
 /// The real cameras of an instrument; simulated ones are refused.

@@ -1,18 +1,26 @@
 //! The simulated bench. The only file outside `sim/` that names the simulator, but for the type of its errors.
 
-use super::{BenchError, Opened, Rehearsal, devices, hardware};
+use super::{BenchError, FaultMix, Fired, Opened, Rehearsal, devices, hardware};
 use crate::config::check::Checked;
 use crate::config::instrument::Instrument;
-use crate::control::devices::bench::{Bench, Settle};
+use crate::control::devices::bench::{Bench, Devices, Settle};
+use crate::control::sequencer::verbs::Verb;
 use goniod_drivers::clock::Clock;
 use goniod_drivers::contract::Camera;
 use goniod_drivers::transport::Connector;
 use goniod_sim::camera::FaultQueue;
+use goniod_sim::faults::{Counts, Mix, Targets, carry_out};
 use goniod_sim::truth::error::SimError;
 use goniod_sim::twins::{PORTS, Twins, TwinsSpec};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::mpsc;
+
+pub use goniod_sim::faults::Schedule;
+pub use goniod_sim::oracle::read_pixels;
+pub use goniod_sim::paint::PaintedTruth;
 
 /// Faults to come on a simulated bench.
 pub struct Faults {
@@ -20,6 +28,37 @@ pub struct Faults {
     pub twins: Twins,
     /// Frames of each simulated camera.
     pub cameras: BTreeMap<String, FaultQueue>,
+    /// What is to go wrong during the run.
+    pub mix: FaultMix,
+}
+
+// === impl Faults ===
+
+impl Faults {
+    /// Lets the faults of the mix happen from now on, drawn from `seed` over a night of `span_s` seconds; the operator's
+    /// part goes to `verbs`.
+    pub(super) fn begin(&self, seed: u64, span_s: f64, verbs: mpsc::Sender<Verb>, clock: Clock) -> Option<Fired> {
+        let mix = match self.mix {
+            FaultMix::None => return None,
+            FaultMix::Typical => Mix::Typical,
+            FaultMix::Nasty => Mix::Nasty,
+        };
+        let span = Duration::try_from_secs_f64(span_s).unwrap_or_default();
+        let counts = self.carry_out(Schedule::of(mix, seed, span), verbs, clock);
+        Some(Box::new(move || counts.fired().into_iter().map(|(kind, n)| (kind.to_string(), n)).collect()))
+    }
+
+    /// Lets the faults of a schedule happen from now on.
+    pub fn carry_out(&self, schedule: Schedule, verbs: mpsc::Sender<Verb>, clock: Clock) -> Counts {
+        let counts = Counts::default();
+        let pause = move |on| {
+            // A full queue means that the operator is asking for other things already.
+            let _ = verbs.try_send(if on { Verb::Pause } else { Verb::Resume });
+        };
+        let targets = Targets { twins: self.twins.clone(), cameras: self.cameras.clone(), pause: Arc::new(pause) };
+        tokio::spawn(carry_out(schedule, targets, clock, counts.clone()));
+        counts
+    }
 }
 
 /// Opens the simulated bench that an instrument names, with simulated cameras whatever the file calls them: a rehearsal.
@@ -46,7 +85,7 @@ fn open(checked: &Checked, rehearsal: &Rehearsal, clock: Clock, own_cameras: boo
     let seed = rehearsal.seed.unwrap_or(simulation.seed);
     let (twins, bench) = parts(instrument, description, sample, seed, clock)?;
     let mut cameras: BTreeMap<String, Box<dyn Camera>> = BTreeMap::new();
-    let mut faults = Faults { twins: twins.clone(), cameras: BTreeMap::new() };
+    let mut faults = Faults { twins: twins.clone(), cameras: BTreeMap::new(), mix: rehearsal.faults };
     for (name, camera) in &instrument.camera {
         if own_cameras && !camera.driver.starts_with("sim-") {
             cameras.insert(name.clone(), hardware::camera(name, camera, clock)?);
@@ -70,7 +109,9 @@ pub(super) fn parts(
 ) -> Result<(Twins, goniod_sim::bench::Bench), BenchError> {
     let holder = &instrument.holder;
     let changer = holder.changer.as_ref().map_or("50003", |c| c.axis.serial.as_str());
-    let mut spec = TwinsSpec::with_serials(&holder.tilt.serial, &holder.spin.serial, changer);
+    let drivers = [&holder.driver, &instrument.filter_wheel.driver, &instrument.shutter.driver].map(String::as_str);
+    let mut spec = TwinsSpec::with_serials(&holder.tilt.serial, &holder.spin.serial, changer).with_drivers(drivers)?;
+    spec.wheel.places = instrument.filter_wheel.places;
     let serial = instrument.monochromator.as_ref().and_then(|m| m.serial.as_deref());
     if let Some(serial) = serial.and_then(|s| s.parse().ok()) {
         spec.monochromator.serial = serial;
@@ -101,4 +142,14 @@ pub(super) fn twin_ports(instrument: &Instrument) -> Instrument {
         monitor.serial = None;
     }
     twins
+}
+
+/// What moves on a simulated bench of its own: nothing outside this process is reached.
+pub(super) fn direct(instrument: &Instrument, clock: Clock) -> Result<Devices, BenchError> {
+    let holder = &instrument.holder;
+    let changer = holder.changer.as_ref().map_or("50003", |c| c.axis.serial.as_str());
+    let drivers = [&holder.driver, &instrument.filter_wheel.driver, &instrument.shutter.driver].map(String::as_str);
+    let spec = TwinsSpec::with_serials(&holder.tilt.serial, &holder.spin.serial, changer).with_drivers(drivers)?;
+    let twins = Twins::new(spec);
+    devices(instrument, clock, |_, port| connect(&twins, port, clock), BTreeMap::new())
 }

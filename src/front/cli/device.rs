@@ -7,7 +7,7 @@ use super::exit::Exit;
 use super::input::{bad_input, instrument_path, today};
 use super::output::{Failure, Outcome, Output};
 use super::run::{exit_of_bench, no_runtime};
-use crate::archive::disk::sha256_hex;
+use crate::digest::sha256_hex;
 use crate::config::check::check_devices;
 use crate::config::instrument::Instrument;
 use crate::front::bench::by_hand::{ByHand, Entry, Hand, entries};

@@ -12,7 +12,9 @@ mod progress;
 mod reduce;
 mod rehearse;
 mod report;
+mod resume;
 mod run;
+mod safe;
 mod status;
 mod verify;
 
@@ -41,6 +43,8 @@ enum Command {
     Plan(plan::Args),
     /// Measure, in the foreground.
     Run(run::Args),
+    /// Go on with a run at the exposure where it ended, was stopped or was cut short.
+    Resume(resume::Args),
     /// Measure on the simulated bench in virtual time: a night in seconds.
     Rehearse(rehearse::Args),
     /// Make all products again from the raw frames of a run.
@@ -55,6 +59,8 @@ enum Command {
     Status(status::Args),
     /// Look at, move or read one device by hand.
     Device(device::Args),
+    /// Make the bench safe, past everything else.
+    Safe(safe::Args),
 }
 
 /// Parses the command line, runs the command and gives its exit code.
@@ -89,6 +95,7 @@ fn dispatch(command: Command, output: &Output) -> Outcome {
         Command::Check(args) => check::run(args, output),
         Command::Plan(args) => plan::run(args, output),
         Command::Run(args) => run::run(args, output),
+        Command::Resume(args) => resume::run(args, output),
         Command::Rehearse(args) => rehearse::run(args, output),
         Command::Reduce(args) => reduce::run(args, output),
         Command::Export(args) => export::run(args, output),
@@ -96,6 +103,7 @@ fn dispatch(command: Command, output: &Output) -> Outcome {
         Command::Verify(args) => verify::run(args, output),
         Command::Status(args) => status::run(args, output),
         Command::Device(args) => device::run(args, output),
+        Command::Safe(args) => safe::run(args, output),
     }
 }
 

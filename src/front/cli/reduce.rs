@@ -19,6 +19,13 @@ pub fn run(args: Args, output: &Output) -> Outcome {
     let made = make_all(&run).map_err(|e| Failure::new(Exit::Storage, e.to_string()))?;
     output.result(Exit::Done, &made, || {
         let files = made.files.iter().map(|f| f.display().to_string());
-        made.headline.iter().cloned().chain([String::new()]).chain(files).collect::<Vec<_>>().join("\n")
+        made.headline
+            .iter()
+            .chain(&made.not_made)
+            .cloned()
+            .chain([String::new()])
+            .chain(files)
+            .collect::<Vec<_>>()
+            .join("\n")
     })
 }

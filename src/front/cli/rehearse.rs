@@ -3,7 +3,7 @@
 use super::input::{ScanArgs, moment};
 use super::output::{Outcome, Output};
 use super::run::{finish, measure, no_runtime};
-use crate::front::bench::{Rehearsal, open_simulated};
+use crate::front::bench::{FaultMix, Rehearsal, open_simulated};
 use goniod_drivers::clock::Clock;
 use std::path::PathBuf;
 
@@ -21,6 +21,9 @@ pub struct Args {
     /// Sample in the bench [default: `simulated` of the scan].
     #[arg(long, value_name = "FILE")]
     sample: Option<PathBuf>,
+    /// What goes wrong on the way, drawn from the seed; the oracle then judges every label.
+    #[arg(long, value_name = "MIX", value_enum, default_value_t)]
+    faults: FaultMix,
     /// When the rehearsed night begins.
     #[arg(long, value_name = "MOMENT", default_value = "2026-01-01T18:00:00Z")]
     start: String,
@@ -35,7 +38,7 @@ pub fn run(args: Args, output: &Output) -> Outcome {
     let start = moment(&args.start)?;
     let runtime =
         tokio::runtime::Builder::new_current_thread().enable_all().start_paused(true).build().map_err(no_runtime)?;
-    let rehearsal = Rehearsal { seed: args.seed, sample: args.sample };
+    let rehearsal = Rehearsal { seed: args.seed, sample: args.sample, faults: args.faults };
     let open = |clock| open_simulated(&checked, &rehearsal, clock);
     let work = measure(&checked, &args.runs, || Clock::starting_at(start), open, output);
     let (ran, exit) = runtime.block_on(work)?;

@@ -8,10 +8,12 @@ use crate::config::check::Checked;
 use crate::control::events::EventBus;
 use crate::control::sequencer::verbs::listen_to_signals;
 use crate::front::bench::{BenchError, Opened, open_as_written};
-use crate::front::night::{self, exit_of};
+use crate::front::night::{self, Night, exit_of};
+use crate::front::resume::{Unfinished, newest_unfinished};
 use crate::products::make::{Made, make_all};
 use goniod_drivers::clock::Clock;
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use tokio::sync::mpsc;
 
@@ -46,6 +48,12 @@ pub struct Ran {
     forecast_s: f64,
     took_s: f64,
     products: Vec<PathBuf>,
+    /// Faults that really happened on a simulated bench, by kind.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    faults: BTreeMap<String, u32>,
+    /// What the oracle says where faults happened.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    oracle: Vec<String>,
 }
 
 /// Runs the command.
@@ -53,10 +61,29 @@ pub fn run(args: Args, output: &Output) -> Outcome {
     let checked = args.scan.check(output)?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(no_runtime)?;
     let runs = args.runs.unwrap_or_else(|| checked.instrument.runs_dir.clone());
+    if let Some(unfinished) = to_go_on_with(&checked, &runs)? {
+        output.say(&format!("going on with {}", unfinished.path.display()));
+        return super::resume::go_on(unfinished, false, !args.no_products, output);
+    }
     let open = |clock| open_as_written(&checked, clock);
     let work = measure(&checked, &runs, Clock::system, open, output);
     let (ran, exit) = runtime.block_on(work)?;
     finish(ran, exit, !args.no_products, output)
+}
+
+/// The newest unfinished run, where the instrument wants it gone on with by itself and it is the same scan and plan.
+fn to_go_on_with(checked: &Checked, runs: &Path) -> Result<Option<Unfinished>, Failure> {
+    if !checked.instrument.auto_resume {
+        return Ok(None);
+    }
+    let Some(path) = newest_unfinished(runs)? else { return Ok(None) };
+    let sample = checked.simulated_sample.clone();
+    // A run of another instrument or with another calibration is another run: a new one is started.
+    let Ok(run) = Unfinished::compare(&path, &checked.instrument, &checked.instrument_dir, sample) else {
+        return Ok(None);
+    };
+    let same = run.document.scan == checked.scan && run.document.plan.hash == night::plan(checked)?.hash;
+    Ok((same && !run.document.virtual_time).then_some(run))
 }
 
 /// Opens the bench, makes the run directory and measures, on the runtime it is called on.
@@ -71,17 +98,29 @@ pub async fn measure(
     let clock = clock();
     let mut opened = open(clock).map_err(|e| Failure::new(exit_of_bench(&e), e.to_string()))?;
     let night = night::prepare(checked, plan, runs, clock, opened.seed)?;
+    carry_out(checked, night, &mut opened, clock, output).await
+}
+
+/// Measures what a run has to do, with progress and signals, on the runtime it is called on.
+pub async fn carry_out(
+    checked: &Checked,
+    night: Night,
+    opened: &mut Opened,
+    clock: Clock,
+    output: &Output,
+) -> Result<(Ran, Exit), Failure> {
     output.say(&format!("run {}", night.path.display()));
     let events = EventBus::default();
     let progress = Progress::begin(&night.plan, events.subscribe(), output.json);
     let (sender, verbs) = mpsc::channel(VERBS);
-    listen_to_signals(sender)
+    listen_to_signals(sender.clone())
         .map_err(|e| Failure::new(Exit::Failed, format!("SIGINT and SIGTERM cannot be listened to: {e}")))?;
-    let outcome = night::measure(checked, &night, &mut opened, clock, verbs, &events).await;
+    let fired = opened.begin_faults(night.plan.forecast.total_s(), sender, clock);
+    let outcome = night::measure(checked, &night, opened, clock, verbs, &events).await;
     progress.end();
     let outcome = outcome?;
     let ran = Ran {
-        run: night.path,
+        run: night.path.clone(),
         ending: format!("{:?}", outcome.ending).to_lowercase(),
         stored: outcome.summary.stored,
         missing: outcome.summary.missing,
@@ -92,6 +131,8 @@ pub async fn measure(
         forecast_s: night.plan.forecast.total_s(),
         took_s: clock.elapsed().as_secs_f64(),
         products: Vec::new(),
+        faults: fired.map(|fired| fired()).unwrap_or_default(),
+        oracle: Vec::new(),
     };
     Ok((ran, exit_of(&outcome)))
 }
@@ -99,6 +140,7 @@ pub async fn measure(
 /// Makes the products of a run that has frames and says how everything went.
 pub fn finish(mut ran: Ran, exit: Exit, products: bool, output: &Output) -> Outcome {
     let mut made: Option<Made> = None;
+    let exit = if ran.faults.is_empty() { exit } else { judged(&mut ran, exit)? };
     if products && ran.stored > 0 && matches!(exit, Exit::Done | Exit::Incomplete) {
         let run = super::input::open_run(&ran.run)?;
         let result = make_all(&run).map_err(|e| Failure::new(Exit::Storage, e.to_string()))?;
@@ -106,6 +148,20 @@ pub fn finish(mut ran: Ran, exit: Exit, products: bool, output: &Output) -> Outc
         made = Some(result);
     }
     output.result(exit, &ran, || text(&ran, made.as_ref()))
+}
+
+/// Asks the oracle about a run with faults: one wrong label is damage.
+#[cfg(feature = "sim")]
+fn judged(ran: &mut Ran, exit: Exit) -> Result<Exit, Failure> {
+    let verdict = crate::front::oracle::judge(&ran.run).map_err(|e| Failure::new(Exit::Storage, e.to_string()))?;
+    ran.oracle = verdict.lines();
+    Ok(if verdict.is_clean() { exit } else { Exit::Damaged })
+}
+
+/// Without a simulated bench no fault happens on purpose.
+#[cfg(not(feature = "sim"))]
+fn judged(_: &mut Ran, exit: Exit) -> Result<Exit, Failure> {
+    Ok(exit)
 }
 
 fn text(ran: &Ran, made: Option<&Made>) -> String {
@@ -120,9 +176,14 @@ fn text(ran: &Ran, made: Option<&Made>) -> String {
     )];
     lines.push(format!("took {}, forecast {}", duration(ran.took_s), duration(ran.forecast_s)));
     lines.extend(ran.message.clone());
+    if !ran.faults.is_empty() {
+        let kinds: Vec<String> = ran.faults.iter().map(|(kind, n)| format!("{kind} {n}")).collect();
+        lines.push(format!("{} faults: {}", ran.faults.values().sum::<u32>(), kinds.join(", ")));
+    }
+    lines.extend(ran.oracle.iter().cloned());
     if let Some(made) = made {
         lines.push(String::new());
-        lines.extend(made.headline.iter().cloned());
+        lines.extend(made.headline.iter().chain(&made.not_made).cloned());
         lines.push(String::new());
         lines.push(format!("run directory  {}", ran.run.display()));
         lines.extend(made.files.iter().map(|f| format!("               {}", f.display())));

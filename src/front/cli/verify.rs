@@ -77,6 +77,8 @@ fn words(finding: &Finding) -> String {
         Finding::ChunkWithoutRow(file) => format!("{file}: no journal row speaks of this file"),
         Finding::RowsDisagree(step) => format!("step {step}: the journal's rows contradict each other"),
         Finding::JournalDamaged(what) => format!("journal.sqlite: {what}"),
-        Finding::SealBroken(what) => format!("journal.seal: {what}"),
+        Finding::ProductChanged(file) => format!("{file}: not the bytes that were written; make the products again"),
+        Finding::ProductMissing(file) => format!("{file}: gone; make the products again"),
+        Finding::SealBroken(what) => format!("seal: {what}"),
     }
 }

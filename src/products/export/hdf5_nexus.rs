@@ -13,7 +13,7 @@
 //! The bytes depend on the content alone: no object times. See NeXus manual, NXdata and NXroot.
 
 use super::ExportError;
-use super::files::{commit, temporary_name};
+use crate::archive::disk::{commit_file, temporary_name};
 use crate::engine::bsdf::set::{BsdfSet, PatchValue, Quantity};
 use crate::engine::optics::direction::Direction;
 use crate::engine::optics::side::Side;
@@ -61,7 +61,7 @@ pub fn write_hdf5(
     let temporary = temporary_name(path);
     fill(&temporary, set, context, spectra, &axes)
         .map_err(|source| ExportError::Hdf5 { path: path.to_owned(), source })?;
-    commit(&temporary, path)
+    Ok(commit_file(&temporary, path)?)
 }
 
 fn fill(path: &Path, set: &BsdfSet, context: &ProductContext, spectra: &[Spectrum], axes: &Axes) -> hdf5::Result<()> {

@@ -11,6 +11,7 @@ use super::matrix::{FilledBlock, PATCHES};
 use crate::engine::bsdf::set::Quantity;
 use crate::engine::optics::basis::AngleBasis;
 use crate::products::context::{ProductContext, side_words};
+use crate::products::markup::escape;
 use std::fmt::Write;
 
 /// Device types that the schema knows.
@@ -211,21 +212,6 @@ fn wavelength_data(xml: &mut String, [wavelength, source, detector]: &[&str; 3],
 /// Eight significant digits: the largest error of a hemispherical value is far below 1e-6.
 fn number(xml: &mut String, value: f64) {
     let _ = if value == 0.0 { write!(xml, "0") } else { write!(xml, "{value:.7e}") };
-}
-
-/// Text for an XML element; control characters, which XML 1.0 forbids, become spaces.
-fn escape(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            c if c.is_control() => out.push(' '),
-            c => out.push(c),
-        }
-    }
-    out
 }
 
 #[cfg(test)]

@@ -3,7 +3,6 @@
 //! measured columns -> [`matrix`] (145 x 145 with the origin of each column) -> [`klems_blocks`] (four directions, none
 //! empty) -> [`klems_xml`]; [`klems_read`] reads it back. [`hdf5_nexus`] holds everything, uncertainty included.
 
-pub mod files;
 pub mod hdf5_nexus;
 pub mod klems_blocks;
 pub mod klems_read;
@@ -36,6 +35,9 @@ pub enum ExportError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// The archive's atomic write refused.
+    #[error(transparent)]
+    Archive(#[from] crate::archive::ArchiveError),
     /// The HDF5 library refused.
     #[error("cannot write HDF5 file {path}: {source}")]
     Hdf5 {

@@ -2,8 +2,8 @@
 
 use super::PlotError;
 use super::colour::INK;
+use crate::archive::disk::{commit_file, temporary_name};
 use crate::products::export::ExportError;
-use crate::products::export::files::{commit, temporary_name};
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::{register_font, text_anchor::Pos};
@@ -111,7 +111,7 @@ impl Picture {
                 .present()
                 .map_err(|e| ExportError::Io { path: path.to_owned(), source: std::io::Error::other(e.to_string()) })?;
         }
-        Ok(commit(&temporary, path)?)
+        commit_file(&temporary, path).map_err(|e| PlotError::from(ExportError::from(e)))
     }
 
     /// Colour of one pixel, for tests and for those who want to look closely; black outside.

@@ -25,7 +25,7 @@ pub fn hemisphere(set: &BsdfSet, column: &Column) -> Result<Picture, PlotError> 
         canvas.text(&subtitle(column), (40.0, 70.0), Ink::new(18.0).colour(GREY))?;
         let (centre, radius) = ((375.0, 412.0), 282.0);
         patches(canvas, centre, radius, &set.basis, column, scale)?;
-        rings(canvas, centre, radius)?;
+        rings(canvas, centre, radius, column)?;
         azimuths(canvas, centre, radius)?;
         marks(canvas, centre, radius, column)?;
         colour_bar(canvas, (752.0, 150.0), (28.0, 524.0), scale)?;
@@ -103,10 +103,12 @@ fn on_disc(centre: (f64, f64), radius: f64, theta_deg: f64, phi: f64) -> (f64, f
     (centre.0 + r * phi.cos(), centre.1 - r * phi.sin())
 }
 
-fn rings(canvas: &Canvas, centre: (f64, f64), radius: f64) -> Result<(), PlotError> {
+/// Circles of equal theta, with their labels beside the plane of incidence, where no peak lies.
+fn rings(canvas: &Canvas, centre: (f64, f64), radius: f64, column: &Column) -> Result<(), PlotError> {
+    let beside = Side::file_incident(column.incident).phi - std::f64::consts::FRAC_PI_2;
     for theta in [30.0, 60.0] {
         canvas.ring(centre, radius * theta / 90.0, WHITE, 1.0)?;
-        let (x, y) = on_disc(centre, radius, theta, 0.0);
+        let (x, y) = on_disc(centre, radius, theta, beside);
         canvas.rectangle((x - 20.0, y - 10.0), (x + 20.0, y + 10.0), WHITE)?;
         canvas.text(&format!("{theta:.0}°"), (x, y), Ink::new(15.0).centred())?;
     }

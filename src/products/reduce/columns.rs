@@ -15,7 +15,6 @@ use crate::engine::bsdf::set::{BsdfSet, Column, Quantity};
 use crate::engine::bsdf::totals::combine;
 use crate::engine::optics::direction::Direction;
 use crate::engine::optics::side::Side;
-use crate::engine::spectra::combine::Combiner;
 use crate::products::error::{ProductError, Result, engine};
 use rayon::prelude::*;
 
@@ -44,11 +43,12 @@ pub fn columns(run: &Run, readings: &Readings, views: &ReducedViews) -> Result<R
     let mut facts = maker.facts();
     let mut columns = Vec::new();
     let projected = basis(run).projected_solid_angles();
+    let quantities: Vec<Quantity> = readings.quantities.iter().map(|(q, _)| q.clone()).collect();
+    let headline = Quantity::headline(&quantities);
     for (pose_columns, patches) in made {
         for p in patches.iter().flatten() {
             facts.largest_saturated = facts.largest_saturated.max(p.missing);
         }
-        let headline = headline_quantity(&readings.quantities);
         if let (Some(column), Some(list)) = (pose_columns.get(headline), patches.get(headline)) {
             facts.floor_relative = facts.floor_relative.max(floor_relative(&projected, column, list));
         }
@@ -56,14 +56,7 @@ pub fn columns(run: &Run, readings: &Readings, views: &ReducedViews) -> Result<R
         columns.extend(pose_columns);
     }
     facts.finish_budget();
-    let quantities = readings.quantities.iter().map(|(q, _)| q.clone()).collect();
     Ok(Reduction { set: BsdfSet { basis: basis(run), quantities, columns }, facts })
-}
-
-/// Visible where there is one, else the lamp-weighted total.
-fn headline_quantity(quantities: &[(Quantity, Combiner)]) -> usize {
-    let at = |wanted: fn(&Quantity) -> bool| quantities.iter().position(|(q, _)| wanted(q));
-    at(|q| *q == Quantity::Visible).or_else(|| at(|q| matches!(q, Quantity::RadiometricTotal { .. }))).unwrap_or(0)
 }
 
 /// What light below the floor may add to the hemispherical value of a column, relative, k = 2.
@@ -137,7 +130,7 @@ impl Maker<'_> {
         let what = format!("band `{}`, channel {}", reading.band, reading.channel);
         match self.run.document.scan.reference.mode {
             ReferenceMode::Irradiance => {
-                absolute(sample, &self.absolute_terms(pose, reading)).map(Some).map_err(engine(what))
+                absolute(sample, &self.absolute_terms(pose, reading, view)).map(Some).map_err(engine(what))
             }
             ReferenceMode::Diffuser => {
                 let Some((reference, terms)) = self.reference(pose, reading, view)? else { return Ok(None) };
@@ -184,6 +177,9 @@ impl Maker<'_> {
             .filter_map(|v| Some((v.utc_us?, v.patches.as_ref()?)))
             .collect();
         known.sort_by_key(|(t, _)| *t);
+        let largest = |a: Option<f64>, b: f64| Some(a.map_or(b, |a| a.max(b)));
+        let references = self.views.views.iter().filter(|v| v.view.subject == wanted);
+        let scaled = references.filter_map(|v| v.drift_relative_u).fold(None, largest);
         let Some(reference) = at_time(&known, view.utc_us.unwrap_or_default())? else { return Ok(None) };
         let terms = RatioTerms {
             reference_bsdf: value / std::f64::consts::PI,
@@ -191,12 +187,16 @@ impl Maker<'_> {
             reference_theta: standard.theta_deg.to_radians(),
             theta: pose.incident.theta,
             theta_u: instrument.holder.tilt.tolerance_deg.to_radians() / 3.0_f64.sqrt(),
-            drift_relative_u: instrument.lamp.drift_relative_uncertainty,
+            // Where the light monitor told the lamp's level, what is left is the uncertainty of both scalings.
+            drift_relative_u: match (view.drift_relative_u, scaled) {
+                (Some(sample), Some(reference)) => sample.hypot(reference),
+                _ => instrument.lamp.drift_relative_uncertainty,
+            },
         };
         Ok(Some((reference, terms)))
     }
 
-    fn absolute_terms(&self, pose: Pose, reading: &Reading) -> AbsoluteTerms {
+    fn absolute_terms(&self, pose: Pose, reading: &Reading, view: &ReducedView) -> AbsoluteTerms {
         let instrument = &self.run.document.instrument;
         let calibration = self.run.document.calibrations.get(&reading.camera);
         let scale = calibration.map_or(0.0, |c| c.responsivity.scale_relative_uncertainty);
@@ -209,7 +209,7 @@ impl Maker<'_> {
             vignetting_relative_u: calibration.map_or(0.0, |c| c.vignetting.relative_uncertainty),
             theta: pose.incident.theta,
             theta_u: instrument.holder.tilt.tolerance_deg.to_radians() / 3.0_f64.sqrt(),
-            drift_relative_u: instrument.lamp.drift_relative_uncertainty,
+            drift_relative_u: view.drift_relative_u.unwrap_or(instrument.lamp.drift_relative_uncertainty),
         }
     }
 
@@ -221,13 +221,17 @@ impl Maker<'_> {
             largest_reference_change: self.largest_reference_change(),
             ..Facts::default()
         };
-        for (camera, dark) in &self.views.darks {
+        for (camera, dark) in self.views.darks.iter().flat_map(|(camera, darks)| darks.iter().map(move |d| (camera, d)))
+        {
             facts.darks.push(DarkFacts {
                 camera: camera.clone(),
                 u_rate: dark.u_rate,
                 hot_pixels: dark.hot,
                 unreadable_pixels: dark.unreadable,
             });
+        }
+        for (name, camera) in &self.run.document.instrument.camera {
+            facts.notes.extend(camera.format.caution().map(|caution| format!("camera `{name}`: {caution}")));
         }
         facts
     }

@@ -1,5 +1,7 @@
 //! What a run kept, read back: plan document, spectra, journal.
 
+use super::light::{DriftFactor, LightCurve};
+use super::readings::Setup;
 use crate::archive::rows::FrameRow;
 use crate::archive::rundir::PLAN;
 use crate::archive::{ArchiveError, RunDir};
@@ -22,6 +24,10 @@ pub struct Run {
     pub document: RunDocument,
     /// Stored frames by step number.
     pub frames: BTreeMap<u32, FrameRow>,
+    /// The lamp's level through the night; empty without a light monitor.
+    pub light: LightCurve,
+    /// Begin of the first and end of the last stored frame of each view, microseconds since 1970.
+    times: BTreeMap<u32, (i64, i64)>,
     /// Spectra of the instrument.
     pub spectra: InstrumentSpectra,
     /// Standard spectra.
@@ -70,16 +76,46 @@ impl Run {
         let text = dir.plan_toml()?;
         let document: RunDocument = toml::from_str(&text)
             .map_err(|e| ProductError::Plan { path: path.join(PLAN), message: e.message().to_owned() })?;
-        let frames = dir.with(|journal| journal.frames())?.into_iter().map(|f| (f.step, f)).collect();
-        let spectra = InstrumentSpectra::of(path, &document)?;
-        Ok(Run { dir, document, frames, spectra, standards: Standards::load()? })
+        let (frames, events) = dir.with(|journal| Ok((journal.frames()?, journal.events()?)))?;
+        let frames: BTreeMap<u32, FrameRow> = frames.into_iter().map(|f| (f.step, f)).collect();
+        let (light, times) = (LightCurve::of(&events), times(&document, &frames));
+        let text = |role: &str| document.input(role).map(|name| std::fs::read_to_string(path.join(name))).transpose();
+        let spectra = InstrumentSpectra::of(path, document.calibrations.keys(), &text)?;
+        Ok(Run { dir, document, frames, light, times, spectra, standards: Standards::load()? })
+    }
+
+    /// What a view is scaled by because the lamp drifted; `None` without light monitor or frames.
+    pub fn drift_factor(&self, view: u32) -> Option<DriftFactor> {
+        let (begin, end) = self.times.get(&view)?;
+        self.light.factor(*begin, *end)
+    }
+
+    /// What the run measured with.
+    pub fn setup(&self) -> Setup<'_> {
+        Setup {
+            instrument: &self.document.instrument,
+            bands: &self.document.scan.bands.names,
+            spectra: &self.spectra,
+            standards: &self.standards,
+        }
     }
 
     /// Microseconds since 1970 of the first stored frame of a view; `None` if it has none.
     pub fn view_time(&self, view: u32) -> Option<i64> {
-        let steps = self.document.plan.steps.iter().filter(|s| s.view == view);
-        steps.filter_map(|s| self.frames.get(&s.number)).map(|f| f.utc_us).min()
+        self.times.get(&view).map(|(begin, _)| *begin)
     }
+}
+
+/// Begin and end of each view that has frames.
+fn times(document: &RunDocument, frames: &BTreeMap<u32, FrameRow>) -> BTreeMap<u32, (i64, i64)> {
+    let mut times: BTreeMap<u32, (i64, i64)> = BTreeMap::new();
+    for step in &document.plan.steps {
+        let Some(frame) = frames.get(&step.number) else { continue };
+        let end_us = frame.utc_us + frame.exposure_us as i64;
+        let (begin, end) = times.entry(step.view).or_insert((frame.utc_us, end_us));
+        (*begin, *end) = ((*begin).min(frame.utc_us), (*end).max(end_us));
+    }
+    times
 }
 
 // === impl Standards ===
@@ -105,19 +141,25 @@ impl Standards {
 // === impl InstrumentSpectra ===
 
 impl InstrumentSpectra {
-    fn of(path: &Path, document: &RunDocument) -> Result<InstrumentSpectra> {
-        let text = |role: &str| kept_text(path, document, role);
-        let curves = |role: &str| -> Result<Curves> {
-            Curves::parse(&text(role)?).map_err(|message| ProductError::Input {
-                run: path.to_owned(),
-                role: role.to_owned(),
-                message,
-            })
-        };
+    /// The tables that `text` gives by their roles; `place` is named in errors.
+    ///
+    /// # Errors
+    /// A table that is not there, cannot be read or is none.
+    pub fn of<'a>(
+        place: &Path,
+        cameras: impl Iterator<Item = &'a String>,
+        text: &dyn Fn(&str) -> std::io::Result<Option<String>>,
+    ) -> Result<InstrumentSpectra> {
+        let input =
+            |role: &str, message: String| ProductError::Input { run: place.to_owned(), role: role.into(), message };
+        let known = |role: &str| text(role).map_err(|e| input(role, format!("cannot be read ({e})")));
+        let text = |role: &str| known(role)?.ok_or_else(|| input(role, "is not there".into()));
+        let curves =
+            |role: &str| -> Result<Curves> { Curves::parse(&text(role)?).map_err(|message| input(role, message)) };
         let one = |role: &str| first(role, &curves(role)?);
-        let reference = |role: &str| document.input(role).map(|_| one(role)).transpose();
+        let reference = |role: &str| known(role)?.map(|_| one(role)).transpose();
         let mut responsivity = BTreeMap::new();
-        for name in document.calibrations.keys() {
+        for name in cameras {
             let role = format!("responsivity.{name}");
             let table = curves(&role)?;
             let channels = table.columns.iter().map(|c| curve(&role, &table.wavelength_nm, c));
@@ -125,9 +167,8 @@ impl InstrumentSpectra {
         }
         let glass_table = curves("filter_wheel.glasses")?;
         let glasses = glass_table.names.iter().zip(&glass_table.columns);
-        let factors = reflection_factors(&text("filter_wheel.glass_parameters")?).map_err(|message| {
-            ProductError::Input { run: path.to_owned(), role: "filter_wheel.glass_parameters".into(), message }
-        })?;
+        const PARAMETERS: &str = "filter_wheel.glass_parameters";
+        let factors = reflection_factors(&text(PARAMETERS)?).map_err(|message| input(PARAMETERS, message))?;
         Ok(InstrumentSpectra {
             lamp: one("lamp.spectrum")?,
             mirror: one("optics.mirror_reflectance")?,
@@ -140,12 +181,6 @@ impl InstrumentSpectra {
             transmission_reference: reference("reference.transmission.spectrum")?,
         })
     }
-}
-
-fn kept_text(path: &Path, document: &RunDocument, role: &str) -> Result<String> {
-    let missing = |message: String| ProductError::Input { run: path.to_owned(), role: role.to_owned(), message };
-    let name = document.input(role).ok_or_else(|| missing("is not there".into()))?;
-    std::fs::read_to_string(path.join(name)).map_err(|e| missing(format!("cannot be read ({e})")))
 }
 
 fn first(name: &str, curves: &Curves) -> Result<Curve> {

@@ -2,19 +2,31 @@
 //!
 //! - [`inputs`]: what the run kept becomes the engine's values
 //! - [`optics`]: cameras, lenses and level tables; [`readings`]: spectral kernels of every band and channel
-//! - [`views`]: brackets of frames -> patch means; [`columns`]: sample over reference, bands into totals
+//! - [`planes`]: frames of several values a pixel; [`views`]: brackets of frames -> patch means
+//! - [`light`]: the lamp's level through the night; [`columns`]: sample over reference, bands into totals
 
 mod columns;
 mod inputs;
+mod light;
 mod optics;
+mod planes;
 mod readings;
 mod views;
 
-pub use inputs::{Run, Standards};
+pub use inputs::{InstrumentSpectra, Run, Standards};
+pub use readings::Setup;
 
 use super::error::Result;
-use crate::engine::bsdf::set::BsdfSet;
+use crate::engine::bsdf::set::{BsdfSet, Quantity};
 use serde::Serialize;
+
+/// The quantities that a scan will give if every view is measured.
+///
+/// # Errors
+/// Spectra that cannot be combined.
+pub fn quantities(setup: Setup<'_>) -> Result<Vec<Quantity>> {
+    Ok(readings::readings(setup)?.quantities.into_iter().map(|(quantity, _)| quantity).collect())
+}
 
 /// Result of a reduction.
 #[derive(Debug, Clone)]
@@ -65,7 +77,7 @@ pub struct DarkFacts {
 /// [`super::error::ProductError`]: a damaged or foreign run, inputs that the engine refuses, a run without frames.
 pub fn reduce(run: &Run) -> Result<Reduction> {
     let cameras = optics::cameras(run)?;
-    let readings = readings::readings(run)?;
+    let readings = readings::readings(run.setup())?;
     let views = views::reduce_views(run, &cameras)?;
     columns::columns(run, &readings, &views)
 }

@@ -56,7 +56,7 @@ fn camera_optics(run: &Run, name: &str, camera: &Camera, calibration: &CameraCal
             width: camera.width_px,
             height: camera.height_px,
             reserved_rows: geometry.reserved_rows,
-            mosaic: mosaic(name, camera.format)?,
+            mosaic: mosaic(camera.format),
             fisheye: Fisheye {
                 centre_x_px: geometry.centre_x_px,
                 centre_y_px: geometry.centre_y_px,
@@ -75,18 +75,14 @@ fn camera_optics(run: &Run, name: &str, camera: &Camera, calibration: &CameraCal
     Ok(CameraOptics { table, straight: map(false)?, flipped: map(true)? })
 }
 
-/// The mosaic of a format.
-fn mosaic(name: &str, format: PixelFormat) -> Result<Mosaic> {
-    match (format.mosaic(), format.values_per_pixel()) {
-        (Some(BayerOrder::Rggb), _) => Ok(Mosaic::BayerRggb),
-        (Some(BayerOrder::Grbg), _) => Ok(Mosaic::BayerGrbg),
-        (Some(BayerOrder::Gbrg), _) => Ok(Mosaic::BayerGbrg),
-        (Some(BayerOrder::Bggr), _) => Ok(Mosaic::BayerBggr),
-        (None, 1) => Ok(Mosaic::Mono),
-        _ => Err(ProductError::Nothing(format!(
-            "camera `{name}`: frames of format {format:?} cannot be reduced; the engine reads one value a pixel, mono or \
-             with a colour mosaic"
-        ))),
+/// The mosaic of a format; pixels that hold several values come colour by colour.
+fn mosaic(format: PixelFormat) -> Mosaic {
+    match format.mosaic() {
+        Some(BayerOrder::Rggb) => Mosaic::BayerRggb,
+        Some(BayerOrder::Grbg) => Mosaic::BayerGrbg,
+        Some(BayerOrder::Gbrg) => Mosaic::BayerGbrg,
+        Some(BayerOrder::Bggr) => Mosaic::BayerBggr,
+        None => Mosaic::Mono,
     }
 }
 

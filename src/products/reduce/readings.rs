@@ -1,7 +1,7 @@
 //! What each band and channel measures: spectral kernels, and the quantities that are combined from them.
 
-use super::inputs::Run;
-use crate::config::instrument::FilterSlot;
+use super::inputs::{InstrumentSpectra, Standards};
+use crate::config::instrument::{FilterSlot, Instrument};
 use crate::engine::bsdf::set::Quantity;
 use crate::engine::spectra::combine::{Combiner, Prior};
 use crate::engine::spectra::curve::Grid;
@@ -14,6 +14,19 @@ use crate::products::error::{ProductError, Result, engine};
 const REACH: f64 = 0.8;
 /// A kernel reaches where it is above this share of its largest value.
 const REACH_LEVEL: f64 = 0.02;
+
+/// What the bands measure with, whether they have measured already or not.
+#[derive(Clone, Copy)]
+pub struct Setup<'a> {
+    /// The instrument.
+    pub instrument: &'a Instrument,
+    /// Bands of the scan.
+    pub bands: &'a [String],
+    /// Spectra of the instrument.
+    pub spectra: &'a InstrumentSpectra,
+    /// Standard spectra.
+    pub standards: &'a Standards,
+}
 
 /// One reading: a channel of a band.
 pub struct Reading {
@@ -42,18 +55,18 @@ pub struct Readings {
 }
 
 /// Kernels of the scan's bands and the quantities they allow.
-pub fn readings(run: &Run) -> Result<Readings> {
+pub fn readings(setup: Setup<'_>) -> Result<Readings> {
     let grid = Grid::engine();
-    let lamp = grid.sample(&run.spectra.lamp);
-    let rho = grid.sample_clamped(&run.spectra.mirror);
-    let scale = lamp_scale(run);
+    let lamp = grid.sample(&setup.spectra.lamp);
+    let rho = grid.sample_clamped(&setup.spectra.mirror);
+    let scale = lamp_scale(setup);
     let mut readings = Vec::new();
     let mut bands = Vec::new();
-    for name in &run.document.scan.bands.names {
-        let slot = slot_of(run, name)?;
-        let filter = stack_transmittance(&grid, &plates(run, slot)?);
+    for name in setup.bands {
+        let slot = slot_of(setup, name)?;
+        let filter = stack_transmittance(&grid, &plates(setup, slot)?);
         let camera = slot.camera.clone().unwrap_or_default();
-        let channels = run.spectra.responsivity.get(&camera).ok_or_else(|| {
+        let channels = setup.spectra.responsivity.get(&camera).ok_or_else(|| {
             ProductError::Nothing(format!("band `{name}`: its camera `{camera}` has no responsivity in the run"))
         })?;
         for (channel, curve) in channels.iter().enumerate() {
@@ -67,7 +80,7 @@ pub fn readings(run: &Run) -> Result<Readings> {
                 channel,
                 one_over_h: one_over_h(&grid, factors).map_err(engine(what()))?,
                 irradiance: scale * irradiance(&grid, &lamp, &filter).map_err(engine(what()))?,
-                references: [mean(&run.spectra.reflection_reference), mean(&run.spectra.transmission_reference)],
+                references: [mean(&setup.spectra.reflection_reference), mean(&setup.spectra.transmission_reference)],
                 kernel,
             });
         }
@@ -76,27 +89,27 @@ pub fn readings(run: &Run) -> Result<Readings> {
         let band = targets::band(&targets::radiometric(&grid, &lamp, interval_nm), &filter);
         bands.push((name.clone(), interval_nm, band));
     }
-    let quantities = quantities(run, &grid, &lamp, &readings, bands)?;
+    let quantities = quantities(setup.standards, &grid, &lamp, &readings, bands)?;
     Ok(Readings { readings, quantities })
 }
 
 /// Factor from the lamp's relative spectrum to uW/(cm2 nm); NaN in ratio mode without a stated irradiance.
-fn lamp_scale(run: &Run) -> f64 {
-    let total = run.spectra.lamp.integrate(300.0, 1700.0);
-    run.document.instrument.lamp.irradiance_uw_per_cm2.map_or(f64::NAN, |e| e / total)
+fn lamp_scale(setup: Setup<'_>) -> f64 {
+    let total = setup.spectra.lamp.integrate(300.0, 1700.0);
+    setup.instrument.lamp.irradiance_uw_per_cm2.map_or(f64::NAN, |e| e / total)
 }
 
-fn slot_of<'a>(run: &'a Run, band: &str) -> Result<&'a FilterSlot> {
-    let slots = &run.document.instrument.filter_wheel.slot;
+fn slot_of<'a>(setup: Setup<'a>, band: &str) -> Result<&'a FilterSlot> {
+    let slots = &setup.instrument.filter_wheel.slot;
     slots.values().find(|s| s.band == band).ok_or_else(|| {
         ProductError::Nothing(format!("the scan uses band `{band}`, which the run's instrument does not have"))
     })
 }
 
-fn plates(run: &Run, slot: &FilterSlot) -> Result<Vec<GlassPlate>> {
+fn plates(setup: Setup<'_>, slot: &FilterSlot) -> Result<Vec<GlassPlate>> {
     let plate = |g: &crate::config::instrument::Glass| {
-        let tau_1mm = run.spectra.glasses.get(&g.glass).cloned();
-        let reflection_factor = run.spectra.reflection_factors.get(&g.glass).copied();
+        let tau_1mm = setup.spectra.glasses.get(&g.glass).cloned();
+        let reflection_factor = setup.spectra.reflection_factors.get(&g.glass).copied();
         match (tau_1mm, reflection_factor) {
             (Some(tau_1mm), Some(reflection_factor)) => {
                 Ok(GlassPlate { tau_1mm, reflection_factor, thickness_mm: g.thickness_mm })
@@ -109,7 +122,7 @@ fn plates(run: &Run, slot: &FilterSlot) -> Result<Vec<GlassPlate>> {
 
 /// Bands, lamp-weighted total, Visible and Solar, as far as the kernels reach.
 fn quantities(
-    run: &Run,
+    standards: &Standards,
     grid: &Grid,
     lamp: &[f64],
     readings: &[Reading],
@@ -128,12 +141,12 @@ fn quantities(
     let interval_nm = measured_interval(grid, &reach);
     let total = targets::radiometric(grid, lamp, interval_nm);
     out.push((Quantity::RadiometricTotal { interval_nm }, combiner("total", &total)?));
-    let visible = targets::visible(grid, &run.standards.d65, &run.standards.v);
+    let visible = targets::visible(grid, &standards.d65, &standards.v);
     if share(&visible, &reach) >= REACH {
         out.push((Quantity::Visible, combiner("visible", &visible)?));
     }
-    let solar = targets::solar(grid, &run.standards.g173_direct, interval_nm);
-    let everything = targets::solar(grid, &run.standards.g173_direct, [300.0, 2500.0]);
+    let solar = targets::solar(grid, &standards.g173_direct, interval_nm);
+    let everything = targets::solar(grid, &standards.g173_direct, [300.0, 2500.0]);
     if share(&everything, &reach) >= 0.5 {
         out.push((Quantity::Solar { measured_nm: interval_nm }, combiner("solar", &solar)?));
     }

@@ -2,6 +2,7 @@
 
 use super::inputs::Run;
 use super::optics::CameraOptics;
+use super::planes::planes;
 use crate::control::plan::{Step, Subject, View};
 use crate::engine::bsdf::patches::ViewPatches;
 use crate::engine::optics::pixel_map::PixelMap;
@@ -20,16 +21,18 @@ pub struct ReducedView {
     pub view: View,
     /// Start of its first frame, UTC microseconds; `None` without frames.
     pub utc_us: Option<i64>,
-    /// Patch means; `None` without frames.
+    /// Patch means, scaled to the lamp's first level where there is a light monitor; `None` without frames.
     pub patches: Option<ViewPatches>,
+    /// Relative standard uncertainty of that scaling; `None` without light monitor.
+    pub drift_relative_u: Option<f64>,
 }
 
 /// All views of a run.
 pub struct ReducedViews {
     /// In the order of the plan, darks left out.
     pub views: Vec<ReducedView>,
-    /// Dark rate of each camera.
-    pub darks: BTreeMap<String, Dark>,
+    /// Dark rate of each camera: one, or one a colour where its pixels hold several values.
+    pub darks: BTreeMap<String, Vec<Dark>>,
 }
 
 /// Reduces every reference and sample view.
@@ -37,7 +40,7 @@ pub fn reduce_views(run: &Run, cameras: &BTreeMap<String, CameraOptics>) -> Resu
     let brackets = brackets(run);
     let mut darks = BTreeMap::new();
     for (name, optics) in cameras {
-        darks.insert(name.clone(), dark_of(run, name, optics, &brackets)?);
+        darks.insert(name.clone(), darks_of(run, name, optics, &brackets)?);
     }
     let wanted: Vec<&View> = run.document.plan.views.iter().filter(|v| v.subject != Subject::Dark).collect();
     let views = wanted
@@ -45,10 +48,13 @@ pub fn reduce_views(run: &Run, cameras: &BTreeMap<String, CameraOptics>) -> Resu
         .map(|view| {
             let lost = || ProductError::Nothing(format!("the plan uses camera `{}`, which the run lacks", view.camera));
             let optics = cameras.get(&view.camera).ok_or_else(lost)?;
-            let dark = darks.get(&view.camera).ok_or_else(lost)?;
+            let darks = darks.get(&view.camera).ok_or_else(lost)?;
             let frames = frames_of(run, view, brackets.get(&view.id).map_or(&[][..], Vec::as_slice))?;
-            let patches = if frames.is_empty() { None } else { Some(merge_view(view, optics, dark, &frames)?) };
-            Ok(ReducedView { view: (*view).clone(), utc_us: run.view_time(view.id), patches })
+            let patches = if frames.is_empty() { None } else { Some(merge_view(view, optics, darks, &frames)?) };
+            let drift = run.drift_factor(view.id);
+            let patches = patches.map(|p| drift.map_or_else(|| p.clone(), |drift| p.scaled(drift.factor)));
+            let drift_relative_u = drift.map(|drift| drift.relative_u);
+            Ok(ReducedView { view: (*view).clone(), utc_us: run.view_time(view.id), patches, drift_relative_u })
         })
         .collect::<Result<Vec<_>>>()?;
     Ok(ReducedViews { views, darks })
@@ -70,10 +76,10 @@ struct Stored {
     pixels: Pixels,
 }
 
-/// Every stored frame of a view.
-fn frames_of(run: &Run, view: &View, steps: &[&Step]) -> Result<Vec<Stored>> {
+/// Every stored frame of a view, colour by colour: one list, or three where pixels hold several values.
+fn frames_of(run: &Run, view: &View, steps: &[&Step]) -> Result<Vec<Vec<Stored>>> {
     let camera = run.document.instrument.camera.get(&view.camera);
-    let mut frames = Vec::new();
+    let mut frames: Vec<Vec<Stored>> = Vec::new();
     for step in steps {
         let Some(row) = run.frames.get(&step.number) else { continue };
         let pixels = run.dir.frames().read_frame(&view.camera, view.array_index, step.exposure_index)?;
@@ -84,17 +90,26 @@ fn frames_of(run: &Run, view: &View, steps: &[&Step]) -> Result<Vec<Stored>> {
             )));
         };
         let exposures = camera.map_or(1, |c| c.frames_in(step.exposure.seconds()));
-        frames.push(Stored { t_s: row.exposure_us as f64 / 1e6 / f64::from(exposures), exposures, pixels });
+        let t_s = row.exposure_us as f64 / 1e6 / f64::from(exposures);
+        let colours = camera.map_or_else(|| vec![pixels.clone()], |c| planes(c.format, pixels.clone()));
+        frames.resize_with(colours.len(), Vec::new);
+        for (list, pixels) in frames.iter_mut().zip(colours) {
+            list.push(Stored { t_s, exposures, pixels });
+        }
     }
     Ok(frames)
 }
 
-fn merge_view(view: &View, optics: &CameraOptics, dark: &Dark, frames: &[Stored]) -> Result<ViewPatches> {
+fn merge_view(view: &View, optics: &CameraOptics, darks: &[Dark], frames: &[Vec<Stored>]) -> Result<ViewPatches> {
     let map = match &view.subject {
         Subject::Sample { side, .. } if side.flipped() => &optics.flipped,
         _ => &optics.straight,
     };
-    merge_frames(map, optics, dark, frames).map_err(engine(format!("view {}", view.id)))
+    let mut channels = Vec::new();
+    for (dark, colour) in darks.iter().zip(frames) {
+        channels.extend(merge_frames(map, optics, dark, colour).map_err(engine(format!("view {}", view.id)))?.channels);
+    }
+    Ok(ViewPatches { channels })
 }
 
 fn merge_frames(
@@ -156,23 +171,29 @@ impl Stored {
     }
 }
 
-/// Dark rate from all dark views of a camera.
-fn dark_of(run: &Run, camera: &str, optics: &CameraOptics, brackets: &BTreeMap<u32, Vec<&Step>>) -> Result<Dark> {
-    let mut frames = Vec::new();
+/// Dark rates from all dark views of a camera.
+fn darks_of(run: &Run, camera: &str, optics: &CameraOptics, brackets: &BTreeMap<u32, Vec<&Step>>) -> Result<Vec<Dark>> {
+    let mut frames: Vec<Vec<Stored>> = Vec::new();
     for view in run.document.plan.views.iter().filter(|v| v.camera == camera && v.subject == Subject::Dark) {
-        frames.extend(frames_of(run, view, brackets.get(&view.id).map_or(&[][..], Vec::as_slice))?);
+        let more = frames_of(run, view, brackets.get(&view.id).map_or(&[][..], Vec::as_slice))?;
+        frames.resize_with(more.len().max(frames.len()), Vec::new);
+        frames.iter_mut().zip(more).for_each(|(list, more)| list.extend(more));
     }
     if frames.is_empty() {
         return Err(ProductError::Nothing(format!(
             "camera `{camera}` has no dark frame in this run, so its dark signal is unknown; measure darks first"
         )));
     }
-    let bytes = eights(&frames);
-    let dark = if is_summed(&frames) {
+    frames.iter().map(|list| dark_of(camera, optics, list)).collect()
+}
+
+fn dark_of(camera: &str, optics: &CameraOptics, frames: &[Stored]) -> Result<Dark> {
+    let bytes = eights(frames);
+    let dark = if is_summed(frames) {
         let levels: Vec<Vec<SumLevel>> = frames.iter().map(Stored::levels).collect();
-        Dark::estimate(&optics.table, &sums(&frames, &levels))
+        Dark::estimate(&optics.table, &sums(frames, &levels))
     } else if bytes.is_empty() {
-        Dark::estimate(&optics.table, &sixteens(&frames))
+        Dark::estimate(&optics.table, &sixteens(frames))
     } else {
         Dark::estimate(&optics.table, &bytes)
     };

@@ -1,20 +1,6 @@
-//! Small pieces of HTML: escaping, tables, pictures as data addresses.
+//! Small pieces of HTML: tables, pictures as data addresses.
 
-/// Text for an element or an attribute in double quotes.
-pub fn escape(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '"' => out.push_str("&quot;"),
-            c if c.is_control() && c != '\n' => out.push(' '),
-            c => out.push(c),
-        }
-    }
-    out
-}
+use crate::products::markup::escape;
 
 /// A section with its heading; `body` is HTML already.
 pub fn section(id: &str, title: &str, body: &str) -> String {

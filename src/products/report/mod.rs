@@ -7,9 +7,9 @@ pub mod html;
 pub mod sections;
 pub mod verdict;
 
+use super::markup::escape;
 use crate::engine::bsdf::set::BsdfSet;
 use crate::products::context::ProductContext;
-use html::escape;
 use verdict::verdict;
 
 /// A picture on the page.

@@ -1,11 +1,12 @@
 //! The sections of the page, each a function from data to HTML.
 
-use super::html::{base64, escape, pairs, section, table};
+use super::html::{base64, pairs, section, table};
 use super::verdict::{Verdict, column_coverage};
 use super::{Figure, ProductFile};
 use crate::engine::bsdf::set::{BsdfSet, Column, Quantity};
 use crate::engine::optics::side::Side;
 use crate::products::context::{ProductContext, side_words};
+use crate::products::markup::escape;
 use crate::products::plots::hemisphere::quantity_words;
 
 /// Most rows of the headline table; the rest is in the files.

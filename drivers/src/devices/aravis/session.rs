@@ -68,6 +68,14 @@ pub struct Signals {
     device_holds: u32,
 }
 
+/// When settings changed: on the device's own clock where it can be read. The host's idea of a device time is late by
+/// as much as the latch took, so across two latches the order of frame and change could turn.
+#[derive(Debug, Clone, Copy)]
+enum Change {
+    Device(u64),
+    Host(Instant),
+}
+
 /// One open camera.
 pub struct Session {
     stream: Stream,
@@ -83,7 +91,7 @@ pub struct Session {
     ns_per_tick: f64,
     mark: Option<Mark>,
     applied: Option<CameraSettings>,
-    applied_at: Instant,
+    changed: Change,
     frames_since_change: u32,
     last_stamp: u64,
     counter: FrameCounter,
@@ -118,7 +126,7 @@ impl Session {
             latch,
             mark: None,
             applied: None,
-            applied_at: Instant::now(),
+            changed: Change::Host(Instant::now()),
             frames_since_change: 0,
             last_stamp: 0,
             counter: FrameCounter::default(),
@@ -147,7 +155,8 @@ impl Session {
         let applied = CameraSettings { exposure: ExposureTime(exposure_us.round().max(0.0) as u64), gain };
         if self.applied != Some(applied) {
             self.frames_since_change = 0;
-            self.applied_at = Instant::now();
+            let host = self.mark_time()?;
+            self.changed = self.mark.map_or(Change::Host(host), |mark| Change::Device(mark.device_ns));
         }
         self.applied = Some(applied);
         Ok(applied)
@@ -292,7 +301,11 @@ impl Session {
         let counters = &self.outlet.counters;
         tick(if damaged { &counters.incomplete } else { &counters.complete });
         // Distinct time stamps are distinct exposures; a picture sent twice has gone through the sensor once.
-        if stamp > self.last_stamp && info.exposure_start >= self.applied_at {
+        let after_change = match self.changed {
+            Change::Device(ns) => stamp >= ns,
+            Change::Host(at) => info.exposure_start >= at,
+        };
+        if stamp > self.last_stamp && after_change {
             self.frames_since_change = self.frames_since_change.saturating_add(1);
         }
         self.last_stamp = stamp;

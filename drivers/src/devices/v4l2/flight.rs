@@ -89,6 +89,7 @@ pub struct Flight {
     id: u64,
     sequence_moves: bool,
     stamps_usable: bool,
+    start_stamps: bool,
     recent: VecDeque<u64>,
     /// Sums since opening.
     pub counters: Counters,
@@ -131,9 +132,17 @@ impl Flight {
             id: 0,
             sequence_moves: false,
             stamps_usable: true,
+            start_stamps: true,
             recent: VecDeque::new(),
             counters: Counters::default(),
         }
+    }
+
+    /// Stamps flagged as those of the start of exposure are those of its end. `uvcvideo` sets that flag, but stamps
+    /// the moment at which the first bytes of the picture came (Linux 6.1, `uvc_video_decode_start`). A picture may have
+    /// waited inside the camera until then, so the N frames are counted anew after every arming.
+    pub fn distrust_start_stamps(&mut self) {
+        self.start_stamps = false;
     }
 
     /// The stream (re)starts with `buffers` kernel buffers: sequence numbers may begin anew.
@@ -173,7 +182,7 @@ impl Flight {
     pub fn armed(&mut self, at: Duration) {
         self.armed_at = Some(at);
         self.delivering = false;
-        if !self.stamps_usable {
+        if !self.stamps_usable || !self.start_stamps {
             self.started_since = 0;
         }
     }
@@ -218,7 +227,8 @@ impl Flight {
         let settled_before = self.started_since >= self.needed();
         let exposure = if settled_before { self.exposure } else { self.slowest.max(self.exposure) };
         let early = self.start_of(seen, exposure);
-        if !odd && self.settings_at.is_some_and(|t| early >= t) {
+        let since = if self.start_stamps { self.settings_at } else { self.settings_at.max(self.armed_at) };
+        if !odd && since.is_some_and(|t| early >= t) {
             self.started_since = self.started_since.saturating_add(1);
         }
         let settled = self.started_since >= self.needed();
@@ -240,7 +250,7 @@ impl Flight {
             return seen.dequeued.saturating_sub(self.readout + exposure);
         }
         match seen.meta.flags & STAMP_MOMENT {
-            STAMP_START => seen.meta.stamp,
+            STAMP_START if self.start_stamps => seen.meta.stamp,
             _ => seen.meta.stamp.saturating_sub(self.readout + exposure),
         }
     }
@@ -365,6 +375,34 @@ mod tests {
         assert!(flight.place(&short).odd);
         let c = flight.counters;
         assert_eq!((c.lost, c.stale, c.repeated, c.damaged, c.short), (2, 1, 2, 1, 1));
+    }
+
+    #[test]
+    fn a_stamp_that_only_claims_to_be_of_the_start_is_taken_as_of_the_end() {
+        let mut flight = Flight::new(1, MS);
+        flight.distrust_start_stamps();
+        flight.restarted(4);
+        flight.changed(MS, MS * 100);
+        flight.armed(MS * 1000);
+        let start_flagged = |n: u32, at: u32| {
+            let mut s = seen(n, at);
+            s.meta.flags |= STAMP_START;
+            s
+        };
+        assert!(!flight.place(&start_flagged(1, 1050)).deliver, "began at 949");
+        assert!(flight.place(&start_flagged(2, 1150)).deliver);
+    }
+
+    #[test]
+    fn pictures_that_may_have_waited_inside_the_camera_are_counted_out_after_every_arming() {
+        let mut flight = Flight::new(3, MS);
+        flight.distrust_start_stamps();
+        flight.restarted(4);
+        flight.changed(MS, MS);
+        flight.armed(MS);
+        assert_eq!([20, 40, 60].map(|t| flight.place(&seen(t, t)).deliver), [false, false, true]);
+        flight.armed(MS * 70);
+        assert_eq!([80, 100, 120].map(|t| flight.place(&seen(t, t)).deliver), [false, false, true]);
     }
 
     #[test]

@@ -44,6 +44,8 @@ pub struct Session {
     layout: Layout,
     curve: Option<String>,
     ring: Option<Ring>,
+    /// Frame interval asked for, and what the device made of it.
+    asked_s: Option<f64>,
     interval_s: Option<f64>,
     flight: Flight,
     applied: Option<Applied>,
@@ -90,7 +92,10 @@ impl Session {
             let _in = runtime.enter();
             (sys::monotonic(), clock.now())
         };
-        let flight = Flight::new(config.settle_frames, Duration::from_secs_f64(config.readout_s.max(0.0)));
+        let mut flight = Flight::new(config.settle_frames, Duration::from_secs_f64(config.readout_s.max(0.0)));
+        if identity.firmware.starts_with("uvcvideo ") {
+            flight.distrust_start_stamps();
+        }
         let session = Session {
             clock,
             pool,
@@ -98,6 +103,7 @@ impl Session {
             layout,
             curve,
             ring: None,
+            asked_s: None,
             interval_s: None,
             flight,
             applied: None,
@@ -201,12 +207,17 @@ impl Session {
     }
 
     fn interval(&mut self, period_s: f64) -> Result<()> {
+        // Asked again, a bridge that is busy while it streams would restart its stream for nothing.
+        if self.asked_s == Some(period_s) {
+            return Ok(());
+        }
         let fault = Fault(&self.config.name);
         let mut set = controls::set_interval(&self.device, period_s);
         if self.ring.is_some() && set.as_ref().is_err_and(|e| e.raw_os_error() == Some(libc::EBUSY)) {
             self.ring = None;
             set = controls::set_interval(&self.device, period_s);
         }
+        self.asked_s = Some(period_s);
         self.interval_s = Some(set.map_err(|e| fault.io("setting the frame interval", &e))?.unwrap_or(period_s));
         Ok(())
     }
@@ -306,6 +317,12 @@ impl Session {
             Ok(taken) => self.judge(taken).map(Ok),
             Err(e) if e.raw_os_error() == Some(libc::EAGAIN) => None,
             Err(e) if e.raw_os_error() == Some(libc::EIO) => self.restart(&e).err().map(Err),
+            // The buffers are ours and were queued: the stream itself has ended, as with a loopback whose source closed.
+            Err(e) if e.raw_os_error() == Some(libc::EINVAL) => {
+                self.stop();
+                let what = format!("the source of the pictures has ended its stream ({e}); start it again");
+                Some(Err(Fault(&self.config.name).of(ErrorKind::Lost, what)))
+            }
             Err(e) => {
                 self.stop();
                 Some(Err(Fault(&self.config.name).io("taking a picture", &e)))

@@ -226,8 +226,9 @@ impl Inner {
             };
             match commands.recv_timeout(rest) {
                 Ok(command) => {
-                    transfers.take(command, &mut out);
-                    commands.try_iter().take(QUEUE).for_each(|command| transfers.take(command, &mut out));
+                    let now = Instant::now();
+                    transfers.take(command, now, &mut out);
+                    commands.try_iter().take(QUEUE).for_each(|command| transfers.take(command, now, &mut out));
                 }
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => break Ok(()),

@@ -276,6 +276,24 @@ fn a_transfer_that_is_taken_back_never_ends_and_one_that_has_ended_cannot_be_tak
 }
 
 #[test]
+fn an_unlink_that_overtakes_its_transfer_waits_for_it() {
+    let (server, twin) = bench();
+    let mut host = Host::attach(&server, "1-1");
+    twin.lock().unwrap().held = b"something".to_vec();
+    // Number 1 takes back number 2, which comes after it.
+    host.unlink(2);
+    let victim = host.submit(0x82, [0; 8], 64, &[]);
+    assert_eq!(victim, 2);
+    let gone = host.reply(false);
+    assert_eq!((gone.command, gone.seqnum, gone.status), (4, 1, -104), "given up once, never ended as well");
+    host.unlink(99);
+    let never = host.reply(false);
+    assert_eq!((never.command, never.status), (4, 0), "a transfer that never comes was not there");
+    host.submit(0x82, [0; 8], 64, &[]);
+    assert_eq!(host.reply(true).bytes, b"something");
+}
+
+#[test]
 fn a_halted_endpoint_stays_halted_until_it_is_cleared() {
     let (server, twin) = bench();
     let mut host = Host::attach(&server, "1-1");

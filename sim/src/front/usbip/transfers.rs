@@ -5,7 +5,11 @@ use super::wire::{self, Command, Urb};
 use crate::front::usb::{Answer, UsbTwin};
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 use tokio::time::Instant;
+
+/// How long an unlink waits for a transfer that is still on its way.
+const ON_ITS_WAY: Duration = Duration::from_secs(1);
 
 /// Transfers that may wait for one device.
 pub const MOST_WAITING: usize = 128;
@@ -31,7 +35,18 @@ pub struct Transfers {
     twin: SharedTwin,
     standard: Standard,
     waiting: VecDeque<Urb>,
+    /// Number of the newest transfer that came.
+    newest: u32,
+    early: Vec<EarlyUnlink>,
     tally: Tally,
+}
+
+/// An unlink that overtook its transfer. Linux sends them from two queues (`vhci_tx_loop`), and drops the connection
+/// when a transfer ends that it has given up.
+struct EarlyUnlink {
+    seqnum: u32,
+    victim: u32,
+    until: Instant,
 }
 
 /// How a transfer ended.
@@ -51,7 +66,14 @@ impl Transfers {
     /// A device that a host has just imported.
     pub fn new(twin: SharedTwin) -> Transfers {
         let descriptors = lock(&twin).descriptors();
-        Transfers { twin, standard: Standard::new(descriptors), waiting: VecDeque::new(), tally: Tally::default() }
+        Transfers {
+            twin,
+            standard: Standard::new(descriptors),
+            waiting: VecDeque::new(),
+            newest: 0,
+            early: Vec::new(),
+            tally: Tally::default(),
+        }
     }
 
     /// What happened so far.
@@ -61,7 +83,7 @@ impl Transfers {
 
     /// True while a transfer waits for the twin.
     pub fn waits(&self) -> bool {
-        !self.waiting.is_empty()
+        !self.waiting.is_empty() || !self.early.is_empty()
     }
 
     /// When the twin may have something for a waiting transfer.
@@ -70,30 +92,46 @@ impl Transfers {
     }
 
     /// Takes a command; an answer that needs no twin is appended to `out`.
-    pub fn take(&mut self, command: Command, out: &mut Vec<u8>) {
+    pub fn take(&mut self, command: Command, now: Instant, out: &mut Vec<u8>) {
         match command {
-            Command::Unlink { seqnum, victim } => {
-                let at = self.waiting.iter().position(|urb| urb.seqnum == victim);
-                if let Some(at) = at {
-                    self.waiting.remove(at);
-                    self.tally.unlinked += 1;
-                }
-                wire::put_unlinked(out, seqnum, at.is_some());
-            }
-            Command::Submit(urb) if urb.isochronous => {
-                self.tally.refused += 1;
-                wire::put_submitted(out, urb.seqnum, wire::UNSUPPORTED, 0, &[]);
-            }
-            Command::Submit(urb) if self.waiting.len() >= MOST_WAITING => {
-                self.tally.refused += 1;
-                wire::put_submitted(out, urb.seqnum, wire::CROWDED, 0, &[]);
-            }
-            Command::Submit(urb) => self.waiting.push_back(urb),
+            Command::Unlink { seqnum, victim } => self.unlink(seqnum, victim, now, out),
+            Command::Submit(urb) => self.submit(urb, out),
+        }
+    }
+
+    fn unlink(&mut self, seqnum: u32, victim: u32, now: Instant, out: &mut Vec<u8>) {
+        if let Some(at) = self.waiting.iter().position(|urb| urb.seqnum == victim) {
+            self.waiting.remove(at);
+            self.tally.unlinked += 1;
+            wire::put_unlinked(out, seqnum, true);
+        } else if victim.wrapping_sub(self.newest) as i32 > 0 && self.early.len() < MOST_WAITING {
+            self.early.push(EarlyUnlink { seqnum, victim, until: now + ON_ITS_WAY });
+        } else {
+            wire::put_unlinked(out, seqnum, false);
+        }
+    }
+
+    fn submit(&mut self, urb: Urb, out: &mut Vec<u8>) {
+        self.newest = urb.seqnum;
+        if let Some(at) = self.early.iter().position(|e| e.victim == urb.seqnum) {
+            self.tally.unlinked += 1;
+            wire::put_unlinked(out, self.early.swap_remove(at).seqnum, true);
+        } else if urb.isochronous {
+            self.tally.refused += 1;
+            wire::put_submitted(out, urb.seqnum, wire::UNSUPPORTED, 0, &[]);
+        } else if self.waiting.len() >= MOST_WAITING {
+            self.tally.refused += 1;
+            wire::put_submitted(out, urb.seqnum, wire::CROWDED, 0, &[]);
+        } else {
+            self.waiting.push_back(urb);
         }
     }
 
     /// Tries all waiting transfers, each endpoint in order, and appends the answers of those that end.
     pub fn pump(&mut self, now: Instant, out: &mut Vec<u8>) {
+        for late in self.early.extract_if(.., |e| e.until <= now) {
+            wire::put_unlinked(out, late.seqnum, false);
+        }
         let mut progress = true;
         while progress {
             progress = false;

@@ -239,7 +239,7 @@ async fn frame(
         discard -= 1;
     };
     limited(clock, LIMIT, camera.stop()).await?;
-    let values = (0..frame.pixels().len()).map(|i| f64::from(frame.pixels().level(i)));
+    let values = (0..frame.pixels.len()).map(|i| f64::from(frame.pixels.level(i)));
     let (count, sum, max, min) =
         values.fold((0_u32, 0.0, 0.0_f64, f64::INFINITY), |(n, s, hi, lo), v| (n + 1, s + v, hi.max(v), lo.min(v)));
     report.reading("exposure_s", settings.exposure.seconds());

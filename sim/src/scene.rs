@@ -1,4 +1,4 @@
-//! What the twin photographs: the [`Scene`] a bench plugs in, and a painted one whose pixels tell the truth about themselves.
+//! What a camera twin photographs: the [`Scene`] a bench plugs in, and a painted one whose pixels tell the truth about themselves.
 
 use std::ops::Range;
 use tokio::time::Instant;

@@ -1,0 +1,166 @@
+//! Reads the gauges of the interlocks between exposures, keeps their ages, and tells what they mean together.
+
+use super::interlocks::{Gauge, Gauges, Trips, evaluate};
+use super::stage::Stage;
+use crate::archive::RunDir;
+use crate::config::night::Interlocks;
+use crate::control::devices::bench::Bench;
+use crate::control::events::Event;
+use goniod_drivers::error::Result;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::time::Instant;
+
+/// Limit for one gauge: a question that takes longer is no answer.
+const GAUGE_LIMIT: Duration = Duration::from_secs(5);
+
+/// Limit for opening the light monitor.
+const OPEN_LIMIT: Duration = Duration::from_secs(15);
+
+/// Readings of the light monitor that a level is the mean of.
+const LIGHT_READINGS: usize = 4;
+
+/// Words of a shutter's health that tell of its interlock contact.
+const CONTACT: &str = "interlock";
+
+/// The interlocks of a run under way.
+pub(super) struct Watch {
+    limits: Option<Interlocks>,
+    archive: Arc<RunDir>,
+    gauges: Gauges,
+    begun: Instant,
+    due: Instant,
+    told: Trips,
+    /// The first level of the light monitor.
+    reference: Option<f64>,
+    /// The light monitor is open.
+    open: bool,
+}
+
+// === impl Watch ===
+
+impl Watch {
+    /// Begins to watch; nothing is read yet. Without limits nothing is ever read.
+    pub(super) fn new(limits: Option<Interlocks>, archive: Arc<RunDir>, now: Instant) -> Watch {
+        Watch {
+            limits,
+            archive,
+            gauges: Gauges::default(),
+            begun: now,
+            due: now,
+            told: Trips::default(),
+            reference: None,
+            open: false,
+        }
+    }
+
+    /// How often gauges are read; `None` where nothing is watched.
+    pub(super) fn period(&self) -> Option<Duration> {
+        self.limits.as_ref().map(Interlocks::period)
+    }
+
+    /// Largest relative change of the lamp within one bracket.
+    pub(super) fn drift_per_view(&self) -> Option<f64> {
+        self.limits.as_ref()?.drift_per_view
+    }
+
+    /// How long the run may stay suspended.
+    pub(super) fn longest_suspension(&self) -> Duration {
+        self.limits.clone().unwrap_or_default().longest_suspension()
+    }
+
+    /// Reads what is due, then tells what all readings mean now; a change is recorded.
+    pub(super) async fn look(&mut self, bench: &mut Bench, stage: &Stage) -> Trips {
+        let Some(limits) = self.limits.clone() else { return Trips::default() };
+        let now = stage.clock().now();
+        if now >= self.due {
+            self.due = now + limits.period();
+            self.read(bench, &limits, stage).await;
+        }
+        let trips = evaluate(&self.gauges.readings(stage.clock().now()), &limits);
+        if trips != self.told {
+            self.told = trips.clone();
+            let Trips { warnings, alarms } = trips.clone();
+            let (warnings, alarms) = (warnings.into_iter().collect(), alarms.into_iter().collect());
+            stage.recorder().event(Event::Interlocks { warnings, alarms }).await;
+        }
+        trips
+    }
+
+    async fn read(&mut self, bench: &mut Bench, limits: &Interlocks, stage: &Stage) {
+        let clock = stage.clock();
+        self.note(Gauge::LampOn, Some((clock.now() - self.begun).as_secs_f64()), clock.now());
+        if limits.temperature_warning_c.is_some() || limits.temperature_alarm_c.is_some() {
+            for (name, camera) in &mut bench.devices.cameras {
+                let health = clock.timeout(GAUGE_LIMIT, camera.health()).await;
+                match flat(health) {
+                    // A camera without a sensor has no temperature to watch.
+                    Some(health) if health.temperature_c.is_none() => {}
+                    health => {
+                        let value = health.and_then(|h| h.temperature_c);
+                        self.note(Gauge::Temperature(name.clone()), value, clock.now());
+                    }
+                }
+            }
+        }
+        if limits.door {
+            let health = flat(clock.timeout(GAUGE_LIMIT, bench.devices.shutter.health()).await);
+            let open = health.map(|h| f64::from(u8::from(h.warnings.iter().any(|w| w.contains(CONTACT)))));
+            self.note(Gauge::Door, open, clock.now());
+        }
+        if limits.free_disk_warning_mb.is_some() || limits.free_disk_alarm_mb.is_some() {
+            let archive = Arc::clone(&self.archive);
+            let free = tokio::task::spawn_blocking(move || archive.free()).await;
+            let free_mb = free.ok().and_then(std::result::Result::ok).map(|bytes| bytes as f64 / 1e6);
+            self.note(Gauge::FreeDisk, free_mb, clock.now());
+        }
+        // The level at the end of the warm-up is the one to compare with.
+        if clock.now() - self.begun >= Duration::from_secs_f64(limits.warm_up_s.max(0.0)) {
+            self.level(bench, stage, None).await;
+        }
+    }
+
+    /// Reads the light monitor, where there is one, and records the level; a level that cannot be had is silence.
+    /// Opened anew after each silence. Watts.
+    pub(super) async fn level(&mut self, bench: &mut Bench, stage: &Stage, view: Option<u32>) -> Option<f64> {
+        let clock = stage.clock();
+        let monitor = bench.devices.light_monitor.as_mut()?;
+        if !self.open && flat(clock.timeout(OPEN_LIMIT, monitor.open()).await).is_none() {
+            self.note(Gauge::Light, None, clock.now());
+            return None;
+        }
+        self.open = true;
+        let mut powers = Vec::with_capacity(LIGHT_READINGS);
+        for _ in 0..LIGHT_READINGS {
+            let reading = flat(clock.timeout(GAUGE_LIMIT, monitor.read()).await);
+            match reading.filter(|r| !r.saturated && r.power_w.is_finite() && r.power_w > 0.0) {
+                Some(reading) => powers.push(reading.power_w),
+                None => {
+                    self.open = false;
+                    self.note(Gauge::Light, None, clock.now());
+                    return None;
+                }
+            }
+        }
+        let n = powers.len() as f64;
+        let power_w = powers.iter().sum::<f64>() / n;
+        let squares: f64 = powers.iter().map(|p| (p - power_w).powi(2)).sum();
+        let u_w = (squares / (n - 1.0) / n).sqrt();
+        stage.recorder().event(Event::LightRead { view, power_w, u_w }).await;
+        let reference = *self.reference.get_or_insert(power_w);
+        self.note(Gauge::Light, Some(power_w / reference - 1.0), clock.now());
+        Some(power_w)
+    }
+
+    fn note(&mut self, gauge: Gauge, value: Option<f64>, now: Instant) {
+        match value {
+            Some(value) => self.gauges.answered(gauge, value, now),
+            None => self.gauges.missed(gauge, now),
+        }
+    }
+}
+
+/// The answer, where one came in time.
+fn flat<T, E>(answer: std::result::Result<Result<T>, E>) -> Option<T> {
+    answer.ok()?.ok()
+}

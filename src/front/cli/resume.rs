@@ -1,0 +1,77 @@
+//! `goniod resume [RUN]`: goes on with a run at the exposure where it ended, was stopped or was cut short.
+
+use super::exit::Exit;
+use super::input::instrument_path;
+use super::output::{Failure, Outcome, Output};
+use super::run::{carry_out, exit_of_bench, finish, no_runtime};
+use crate::config::instrument::Instrument;
+use crate::config::load::load;
+use crate::front::bench::{Rehearsal, open_as_written, open_simulated};
+use crate::front::resume::{Unfinished, newest_unfinished};
+use goniod_drivers::clock::Clock;
+use std::path::{Path, PathBuf};
+
+/// Arguments.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The run directory [default: the newest unfinished run of the instrument].
+    run: Option<PathBuf>,
+    /// The instrument file [default: $GONIOD_INSTRUMENT, config/instrument.toml, /etc/goniod/instrument.toml].
+    #[arg(long, value_name = "FILE")]
+    instrument: Option<PathBuf>,
+    /// Folder to look for the newest unfinished run in [default: `runs_dir` of the instrument file].
+    #[arg(long, value_name = "DIR")]
+    runs: Option<PathBuf>,
+    /// Try exposures that are listed as missing once more.
+    #[arg(long)]
+    missing: bool,
+    /// Sample of the simulated bench, where it no longer lies where the run found it.
+    #[arg(long, value_name = "FILE")]
+    sample: Option<PathBuf>,
+    /// Measure only; products can be made later with `goniod reduce`.
+    #[arg(long)]
+    no_products: bool,
+}
+
+/// Runs the command.
+pub fn run(args: Args, output: &Output) -> Outcome {
+    let file = instrument_path(args.instrument.as_deref())?;
+    let loaded = load::<Instrument>(&file, "instrument").map_err(|e| Failure::new(Exit::BadInput, e.to_string()))?;
+    let instrument = loaded.value;
+    let path = match args.run {
+        Some(path) => path,
+        None => {
+            let runs = args.runs.unwrap_or_else(|| instrument.runs_dir.clone());
+            newest_unfinished(&runs)?.ok_or_else(|| {
+                let message = format!("{}: every run is finished; `goniod status` lists them", runs.display());
+                Failure::new(Exit::BadInput, message)
+            })?
+        }
+    };
+    let base = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let unfinished = Unfinished::compare(&path, &instrument, base, args.sample)?;
+    go_on(unfinished, args.missing, !args.no_products, output)
+}
+
+/// Goes on with a run, in the kind of time it was started in.
+pub fn go_on(unfinished: Unfinished, missing: bool, products: bool, output: &Output) -> Outcome {
+    let checked = unfinished.checked();
+    let rehearsed = unfinished.document.virtual_time;
+    let start = unfinished.last_told()?;
+    let rehearsal = Rehearsal { seed: unfinished.document.simulated_seed, sample: None, ..Rehearsal::default() };
+    let runtime = if rehearsed {
+        tokio::runtime::Builder::new_current_thread().enable_all().start_paused(true).build()
+    } else {
+        tokio::runtime::Builder::new_multi_thread().enable_all().build()
+    };
+    let work = async {
+        let clock = if rehearsed { Clock::starting_at(start) } else { Clock::system() };
+        let opened =
+            if rehearsed { open_simulated(&checked, &rehearsal, clock) } else { open_as_written(&checked, clock) };
+        let mut opened = opened.map_err(|e| Failure::new(exit_of_bench(&e), e.to_string()))?;
+        let night = unfinished.night(missing)?;
+        carry_out(&checked, night, &mut opened, clock, output).await
+    };
+    let (ran, exit) = runtime.map_err(no_runtime)?.block_on(work)?;
+    finish(ran, exit, products, output)
+}
