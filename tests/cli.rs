@@ -8,9 +8,9 @@ mod common;
 use common::{Lab, root, text};
 use std::fs;
 
-const COMMANDS: [&str; 17] = [
+const COMMANDS: [&str; 18] = [
     "check", "plan", "run", "rehearse", "resume", "reduce", "export", "report", "verify", "status", "serve", "queue",
-    "watch", "pause", "stop", "abort", "safe",
+    "watch", "pause", "stop", "abort", "safe", "device",
 ];
 
 const SCAN: &str = r#"

@@ -29,6 +29,12 @@ pub struct Instrument {
     pub filter_wheel: FilterWheel,
     /// Shutter in the beam.
     pub shutter: Shutter,
+    /// Power meter that watches the lamp.
+    pub light_monitor: Option<LightMonitor>,
+    /// Monochromator of the calibration bench.
+    pub monochromator: Option<Monochromator>,
+    /// Spectrometer of the calibration bench.
+    pub spectrometer: Option<Spectrometer>,
     /// Cameras by name (`ccd`, `ingaas`).
     pub camera: BTreeMap<String, Camera>,
     /// Mirror and collecting optics.
@@ -69,6 +75,12 @@ pub struct Lamp {
     pub irradiance_relative_uncertainty: Option<f64>,
     /// Relative standard uncertainty of the lamp's steadiness between two reference views.
     pub drift_relative_uncertainty: f64,
+    /// Shortest time from ignition to steady light.
+    pub warm_up_s: Option<f64>,
+    /// Cooling before it may be struck again.
+    pub restrike_s: Option<f64>,
+    /// Hours the maker rates it for.
+    pub rated_hours: Option<f64>,
 }
 
 /// The sample holder.
@@ -186,6 +198,58 @@ pub struct Shutter {
     pub port: String,
     /// Blade travel and settling, waited after each change.
     pub settle_s: f64,
+}
+
+/// The power meter that watches the lamp, before the shutter.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LightMonitor {
+    /// Driver name (`newport-1830c`, `thorlabs-pm100`).
+    pub driver: String,
+    /// Serial port path, USB address, or `sim:light-monitor`.
+    pub port: String,
+    /// Serial number the meter must report; absent where it has none to tell.
+    pub serial: Option<String>,
+    /// Wavelength of the responsivity correction.
+    pub wavelength_nm: f64,
+    /// Readings that the meter averages into one.
+    pub average: Option<u32>,
+    /// Power below which the light is too weak to be the lamp.
+    pub min_w: Option<f64>,
+    /// Power above which something is wrong.
+    pub max_w: Option<f64>,
+}
+
+/// The monochromator.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Monochromator {
+    /// Driver name (`spectral-cm110`).
+    pub driver: String,
+    /// Serial port path, or `sim:monochromator`.
+    pub port: String,
+    /// Serial number it must report; absent = not checked.
+    pub serial: Option<String>,
+    /// Shortest wavelength that may be commanded.
+    pub min_nm: f64,
+    /// Longest wavelength that may be commanded.
+    pub max_nm: f64,
+    /// Largest accepted difference between commanded and read wavelength.
+    pub tolerance_nm: f64,
+    /// Wait after the grating stands.
+    pub settle_s: f64,
+}
+
+/// The spectrometer.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Spectrometer {
+    /// Driver name (`oceanoptics-usb`).
+    pub driver: String,
+    /// USB address.
+    pub port: String,
+    /// Serial number it must report.
+    pub serial: String,
 }
 
 /// One camera.

@@ -1,7 +1,9 @@
 //! Opens the bench for a plan: what moves through the driver table or, when its ports start with `sim:`, as twins of the
 //! simulated bench; cameras by their drivers, so that a real camera may photograph beside a simulated bench.
 
+pub mod by_hand;
 mod hardware;
+mod light;
 #[cfg(feature = "sim")]
 mod simulated;
 
@@ -14,7 +16,7 @@ use crate::config::instrument::{Axis, Instrument};
 use crate::control::devices::bench::{Bench, Devices, Settle};
 use crate::control::sequencer::verbs::Verb;
 use goniod_drivers::clock::Clock;
-use goniod_drivers::contract::{Camera, RotaryAxis};
+use goniod_drivers::contract::{Camera, FilterWheel, RotaryAxis, Shutter};
 use goniod_drivers::devices::{AxisConfig, ShutterConfig, WheelConfig};
 use goniod_drivers::error::DeviceError;
 use goniod_drivers::table;
@@ -145,11 +147,14 @@ pub fn is_simulated(instrument: &Instrument) -> Result<bool, BenchError> {
 }
 
 fn ports(instrument: &Instrument) -> Vec<(String, String)> {
-    vec![
+    let mut ports = vec![
         ("holder".to_owned(), instrument.holder.port.clone()),
         ("filter_wheel".to_owned(), instrument.filter_wheel.port.clone()),
         ("shutter".to_owned(), instrument.shutter.port.clone()),
-    ]
+    ];
+    ports.extend(instrument.light_monitor.iter().map(|d| ("light_monitor".to_owned(), d.port.clone())));
+    ports.extend(instrument.monochromator.iter().map(|d| ("monochromator".to_owned(), d.port.clone())));
+    ports
 }
 
 /// Opens the bench as the instrument file says it: hardware, or the simulated bench with the cameras that are named.
@@ -195,39 +200,54 @@ fn devices(
     mut connect: impl FnMut(&str, &str) -> Result<Box<dyn Connector>, BenchError>,
     cameras: BTreeMap<String, Box<dyn Camera>>,
 ) -> Result<Devices, BenchError> {
+    let mut axes = holder(instrument, clock, &mut connect)?.into_iter();
+    let lacking =
+        || DeviceError::new(goniod_drivers::error::ErrorKind::Broken, "holder", "its driver made too few axes");
+    let mut next = || -> Result<Box<dyn RotaryAxis>, DeviceError> { axes.next().ok_or_else(lacking) };
+    let (tilt, spin) = (next()?, next()?);
+    let changer = instrument.holder.changer.as_ref().map(|_| next()).transpose()?;
+    Ok(Devices {
+        tilt,
+        spin,
+        changer,
+        wheel: filter_wheel(instrument, clock, &mut connect)?,
+        shutter: shutter(instrument, clock, &mut connect)?,
+        light_monitor: light::monitor(instrument, clock, &mut connect)?,
+        cameras,
+    })
+}
+
+/// How a serial device's link is opened: driver and port to a connector.
+type Connect<'a> = &'a mut dyn FnMut(&str, &str) -> Result<Box<dyn Connector>, BenchError>;
+
+/// Tilt, spin and, where there is one, changer.
+fn holder(instrument: &Instrument, clock: Clock, connect: Connect<'_>) -> Result<Vec<Box<dyn RotaryAxis>>, BenchError> {
     let holder = &instrument.holder;
     let mut axes = vec![axis("tilt", &holder.tilt), axis("spin", &holder.spin)];
     axes.extend(holder.changer.as_ref().map(|c| axis("changer", &c.axis)));
-    let connector = connect(&holder.driver, &holder.port)?;
-    let mut made = table::holder(&holder.driver, connector, axes, clock)?.into_iter();
-    let lacking =
-        || DeviceError::new(goniod_drivers::error::ErrorKind::Broken, "holder", "its driver made too few axes");
-    let mut next = || -> Result<Box<dyn RotaryAxis>, DeviceError> { made.next().ok_or_else(lacking) };
-    let (tilt, spin) = (next()?, next()?);
-    let changer = holder.changer.as_ref().map(|_| next()).transpose()?;
+    Ok(table::holder(&holder.driver, connect(&holder.driver, &holder.port)?, axes, clock)?)
+}
+
+fn filter_wheel(
+    instrument: &Instrument,
+    clock: Clock,
+    connect: Connect<'_>,
+) -> Result<Box<dyn FilterWheel>, BenchError> {
     let wheel = &instrument.filter_wheel;
     let dark = wheel.slot.iter().find(|(_, s)| s.band == "dark").and_then(|(number, _)| number.parse().ok());
-    let wheel_config = WheelConfig {
+    let config = WheelConfig {
         name: "filter_wheel".to_owned(),
         places: wheel.places,
         dark: dark.map(Slot),
         settle: Duration::ZERO,
     };
-    let shutter_config = ShutterConfig { name: "shutter".to_owned(), settle: Duration::ZERO };
-    Ok(Devices {
-        tilt,
-        spin,
-        changer,
-        wheel: table::filter_wheel(&wheel.driver, connect(&wheel.driver, &wheel.port)?, wheel_config, clock)?,
-        shutter: table::shutter(
-            &instrument.shutter.driver,
-            connect(&instrument.shutter.driver, &instrument.shutter.port)?,
-            shutter_config,
-            clock,
-        )?,
-        cameras,
-        light_monitor: None,
-    })
+    Ok(table::filter_wheel(&wheel.driver, connect(&wheel.driver, &wheel.port)?, config, clock)?)
+}
+
+fn shutter(instrument: &Instrument, clock: Clock, connect: Connect<'_>) -> Result<Box<dyn Shutter>, BenchError> {
+    let shutter = &instrument.shutter;
+    let config = ShutterConfig { name: "shutter".to_owned(), settle: Duration::ZERO };
+    Ok(table::shutter(&shutter.driver, connect(&shutter.driver, &shutter.port)?, config, clock)?)
 }
 
 /// The driver's configuration of an axis. Settling is the sequencer's wait, so the driver has none.

@@ -1,6 +1,6 @@
 //! The instrument's devices by themselves: drivers, ports, axes, wheel, cameras, safe state.
 
-use super::{Options, Report, cameras};
+use super::{Options, Report, cameras, light};
 use crate::config::error::Issue;
 use crate::config::hint;
 use crate::config::instrument::{Axis, FilterSlot, Instrument};
@@ -26,6 +26,7 @@ pub(super) fn check(instrument: &Loaded<Instrument>, options: &Options, issues: 
     axes(i, &mut report);
     wheel(i, &mut report);
     report.range("shutter.settle_s", i.shutter.settle_s, 0.0, 60.0);
+    light::check(i, &mut report);
     cameras::check(i, &mut report);
     safe_state(i, &mut report);
     super::night::check(i, &mut report);
@@ -38,6 +39,9 @@ fn links(i: &Instrument) -> Vec<(String, &str, &str)> {
         ("filter_wheel".to_owned(), &i.filter_wheel.driver, &i.filter_wheel.port),
         ("shutter".to_owned(), &i.shutter.driver, &i.shutter.port),
     ];
+    all.extend(i.light_monitor.iter().map(|d| ("light_monitor".to_owned(), d.driver.as_str(), d.port.as_str())));
+    all.extend(i.monochromator.iter().map(|d| ("monochromator".to_owned(), d.driver.as_str(), d.port.as_str())));
+    all.extend(i.spectrometer.iter().map(|d| ("spectrometer".to_owned(), d.driver.as_str(), d.port.as_str())));
     all.extend(i.camera.iter().map(|(n, c)| (format!("camera.{n}"), c.driver.as_str(), c.port.as_str())));
     all
 }

@@ -4,6 +4,7 @@ mod calibration;
 mod cameras;
 mod devices;
 mod inputs;
+mod light;
 mod night;
 mod optics;
 mod scan;
@@ -99,6 +100,19 @@ pub fn check(scan_path: &Path, instrument_path: &Path, options: &Options) -> Res
         simulated_sample,
         warnings: issues,
     })
+}
+
+/// Reads an instrument file and checks its devices by themselves, for work that needs no scan. Names of drivers are left
+/// to the driver table, so that one that this build lacks stops nobody from using the others.
+///
+/// # Errors
+/// As [`check`].
+pub fn check_devices(path: &Path, today: jiff::civil::Date) -> Result<Instrument, ConfigError> {
+    let instrument = load(path, "instrument")?;
+    let mut issues = Vec::new();
+    devices::check(&instrument, &Options { drivers: Vec::new(), today }, &mut issues);
+    issues.retain(|i| i.severity == Severity::Error);
+    if issues.is_empty() { Ok(instrument.value) } else { Err(ConfigError::Faulty { issues }) }
 }
 
 /// Both files, or the faults of both together.

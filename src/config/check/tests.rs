@@ -30,7 +30,17 @@ impl Bench {
                 fs::write(path, "").unwrap();
             }
         }
-        let drivers = ["zaber-ascii", "thorlabs-fw212c", "thorlabs-sc10", "sim-ccd", "sim-ingaas", "v4l2", "aravis"];
+        let drivers = [
+            "zaber-ascii",
+            "thorlabs-fw212c",
+            "thorlabs-sc10",
+            "sim-ccd",
+            "sim-ingaas",
+            "v4l2",
+            "aravis",
+            "newport-1830c",
+            "spectral-cm110",
+        ];
         let drivers = drivers.map(str::to_owned).to_vec();
         Bench { dir, options: Options { drivers, today: jiff::civil::date(2026, 6, 1) } }
     }

@@ -64,12 +64,12 @@ pub(super) fn camera(name: &str, camera: &instrument::Camera, clock: Clock) -> R
 }
 
 #[cfg(feature = "serial")]
-fn connect(driver: &str, port: &str, clock: Clock) -> Result<Box<dyn Connector>, BenchError> {
+pub(super) fn connect(driver: &str, port: &str, clock: Clock) -> Result<Box<dyn Connector>, BenchError> {
     let baud = table::lookup(driver)?.baud;
     Ok(Box::new(goniod_drivers::transport::SerialConnector::new(port, baud, clock)))
 }
 
 #[cfg(not(feature = "serial"))]
-fn connect(_: &str, _: &str, _: Clock) -> Result<Box<dyn Connector>, BenchError> {
+pub(super) fn connect(_: &str, _: &str, _: Clock) -> Result<Box<dyn Connector>, BenchError> {
     Err(BenchError::Lacks { what: "serial ports", feature: "serial" })
 }

@@ -7,11 +7,13 @@ use crate::control::devices::bench::{Bench, Devices, Settle};
 use crate::control::sequencer::verbs::Verb;
 use goniod_drivers::clock::Clock;
 use goniod_drivers::contract::Camera;
+use goniod_drivers::transport::Connector;
 use goniod_sim::camera::FaultQueue;
 use goniod_sim::faults::{Counts, Mix, Targets, carry_out};
 use goniod_sim::truth::error::SimError;
-use goniod_sim::twins::{Twins, TwinsSpec};
+use goniod_sim::twins::{PORTS, Twins, TwinsSpec};
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::mpsc;
@@ -81,13 +83,7 @@ fn open(checked: &Checked, rehearsal: &Rehearsal, clock: Clock, own_cameras: boo
     let description = checked.bench.as_ref().ok_or(BenchError::NoSimulation)?;
     let sample = rehearsal.sample.as_ref().or(checked.simulated_sample.as_ref()).ok_or(BenchError::NoSample)?;
     let seed = rehearsal.seed.unwrap_or(simulation.seed);
-    let holder = &instrument.holder;
-    let changer = holder.changer.as_ref().map_or("50003", |c| c.axis.serial.as_str());
-    let drivers = [&holder.driver, &instrument.filter_wheel.driver, &instrument.shutter.driver].map(String::as_str);
-    let mut spec = TwinsSpec::with_serials(&holder.tilt.serial, &holder.spin.serial, changer).with_drivers(drivers)?;
-    spec.wheel.places = instrument.filter_wheel.places;
-    let twins = Twins::new(spec);
-    let bench = goniod_sim::bench::Bench::open(description, sample, seed, Arc::new(twins.clone()), clock)?;
+    let (twins, bench) = parts(instrument, description, sample, seed, clock)?;
     let mut cameras: BTreeMap<String, Box<dyn Camera>> = BTreeMap::new();
     let mut faults = Faults { twins: twins.clone(), cameras: BTreeMap::new(), mix: rehearsal.faults };
     for (name, camera) in &instrument.camera {
@@ -98,32 +94,62 @@ fn open(checked: &Checked, rehearsal: &Rehearsal, clock: Clock, own_cameras: boo
             cameras.insert(name.clone(), Box::new(bench.camera(name)?));
         }
     }
-    let connect = |_: &str, port: &str| {
-        twins.connector(port, clock).ok_or_else(|| {
-            BenchError::Simulation(SimError::Unknown {
-                what: "port",
-                name: port.to_owned(),
-                known: "`sim:holder`, `sim:filter-wheel`, `sim:shutter`".to_owned(),
-            })
-        })
-    };
-    // A rehearsal of a real instrument reaches the twins whatever the instrument's ports are called.
-    let mut twin_ports = instrument.clone();
-    twin_ports.holder.port = "sim:holder".to_owned();
-    twin_ports.filter_wheel.port = "sim:filter-wheel".to_owned();
-    twin_ports.shutter.port = "sim:shutter".to_owned();
-    let devices = devices(&twin_ports, clock, connect, cameras)?;
+    let connect = |_: &str, port: &str| connect(&twins, port, clock);
+    let devices = devices(&twin_ports(instrument), clock, connect, cameras)?;
     Ok(Opened { bench: Bench::new(devices, Settle::of(instrument)), seed: Some(seed), faults: Some(faults) })
+}
+
+/// The twins and the bench whose lamp they look at.
+pub(super) fn parts(
+    instrument: &Instrument,
+    description: &Path,
+    sample: &Path,
+    seed: u64,
+    clock: Clock,
+) -> Result<(Twins, goniod_sim::bench::Bench), BenchError> {
+    let holder = &instrument.holder;
+    let changer = holder.changer.as_ref().map_or("50003", |c| c.axis.serial.as_str());
+    let drivers = [&holder.driver, &instrument.filter_wheel.driver, &instrument.shutter.driver].map(String::as_str);
+    let mut spec = TwinsSpec::with_serials(&holder.tilt.serial, &holder.spin.serial, changer).with_drivers(drivers)?;
+    spec.wheel.places = instrument.filter_wheel.places;
+    let serial = instrument.monochromator.as_ref().and_then(|m| m.serial.as_deref());
+    if let Some(serial) = serial.and_then(|s| s.parse().ok()) {
+        spec.monochromator.serial = serial;
+    }
+    let twins = Twins::new(spec);
+    let bench = goniod_sim::bench::Bench::open(description, sample, seed, Arc::new(twins.clone()), clock)?;
+    twins.look_at(bench.lamp());
+    Ok((twins, bench))
+}
+
+pub(super) fn connect(twins: &Twins, port: &str, clock: Clock) -> Result<Box<dyn Connector>, BenchError> {
+    twins.connector(port, clock).ok_or_else(|| {
+        let known = PORTS.map(|p| format!("`{p}`")).join(", ");
+        BenchError::Simulation(SimError::Unknown { what: "port", name: port.to_owned(), known })
+    })
+}
+
+/// A rehearsal of a real instrument reaches the twins whatever the instrument's ports are called; a light monitor of
+/// another make is played by the twin that there is.
+pub(super) fn twin_ports(instrument: &Instrument) -> Instrument {
+    let mut twins = instrument.clone();
+    twins.holder.port = "sim:holder".to_owned();
+    twins.filter_wheel.port = "sim:filter-wheel".to_owned();
+    twins.shutter.port = "sim:shutter".to_owned();
+    if let Some(monitor) = &mut twins.light_monitor {
+        monitor.port = "sim:light-monitor".to_owned();
+        monitor.driver = "newport-1830c".to_owned();
+        monitor.serial = None;
+    }
+    twins
 }
 
 /// What moves on a simulated bench of its own: nothing outside this process is reached.
 pub(super) fn direct(instrument: &Instrument, clock: Clock) -> Result<Devices, BenchError> {
     let holder = &instrument.holder;
     let changer = holder.changer.as_ref().map_or("50003", |c| c.axis.serial.as_str());
-    let twins = Twins::new(TwinsSpec::with_serials(&holder.tilt.serial, &holder.spin.serial, changer));
-    let connect = |_: &str, port: &str| {
-        let unknown = SimError::Unknown { what: "port", name: port.to_owned(), known: "the ports of the twins".into() };
-        twins.connector(port, clock).ok_or(BenchError::Simulation(unknown))
-    };
-    devices(instrument, clock, connect, BTreeMap::new())
+    let drivers = [&holder.driver, &instrument.filter_wheel.driver, &instrument.shutter.driver].map(String::as_str);
+    let spec = TwinsSpec::with_serials(&holder.tilt.serial, &holder.spin.serial, changer).with_drivers(drivers)?;
+    let twins = Twins::new(spec);
+    devices(instrument, clock, |_, port| connect(&twins, port, clock), BTreeMap::new())
 }

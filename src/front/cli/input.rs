@@ -104,7 +104,7 @@ pub fn open_run(path: &Path) -> Result<Run, Failure> {
 }
 
 /// All faults of the files, one sentence each.
-fn bad_input(error: ConfigError) -> Failure {
+pub fn bad_input(error: ConfigError) -> Failure {
     let issues = error.issues();
     let messages =
         if issues.is_empty() { vec![error.to_string()] } else { issues.iter().map(ToString::to_string).collect() };

@@ -5,6 +5,7 @@ pub mod output;
 
 mod check;
 mod daemon;
+mod device;
 mod export;
 pub mod input;
 mod plan;
@@ -61,6 +62,8 @@ enum Command {
     Verify(verify::Args),
     /// Tell what the runs are doing or how they ended.
     Status(status::Args),
+    /// Look at, move or read one device by hand.
+    Device(device::Args),
     /// Make the bench safe, past everything else; the queue is then held.
     Safe(safe::Args),
     /// Serve the queue: the daemon.
@@ -116,6 +119,7 @@ fn dispatch(command: Command, output: &Output) -> Outcome {
         Command::Report(args) => report::run(args, output),
         Command::Verify(args) => verify::run(args, output),
         Command::Status(args) => status::run(args, output),
+        Command::Device(args) => device::run(args, output),
         Command::Safe(args) => safe::run(args, output),
         Command::Serve(args) => serve::run(args, output),
         Command::Queue(args) => queue::run(args, output),

@@ -107,6 +107,9 @@ fn folder() -> PathBuf {
 fn ports(instrument: &Instrument) -> Vec<&str> {
     let mut ports = vec![&*instrument.holder.port, &*instrument.filter_wheel.port, &*instrument.shutter.port];
     ports.extend(instrument.camera.values().map(|camera| &*camera.port));
+    ports.extend(instrument.light_monitor.iter().map(|monitor| &*monitor.port));
+    ports.extend(instrument.monochromator.iter().map(|monochromator| &*monochromator.port));
+    ports.extend(instrument.spectrometer.iter().map(|spectrometer| &*spectrometer.port));
     ports
 }
 

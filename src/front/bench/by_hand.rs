@@ -1,0 +1,166 @@
+//! Devices one by one, for an operator's hand: made through the same table and instrument file as for a run.
+
+use super::{BenchError, hardware, is_simulated, light};
+use crate::config::instrument::Instrument;
+use goniod_drivers::clock::Clock;
+use goniod_drivers::contract::{
+    Camera, Device, FilterWheel, LightMonitor, Monochromator, RotaryAxis, Shutter, Spectrometer,
+};
+use goniod_drivers::transport::Connector;
+use std::path::Path;
+
+/// A device of its kind; nothing is sent before it is opened.
+pub enum Hand {
+    /// A rotation axis.
+    Axis(Box<dyn RotaryAxis>),
+    /// The filter wheel.
+    Wheel(Box<dyn FilterWheel>),
+    /// The shutter.
+    Shutter(Box<dyn Shutter>),
+    /// The light monitor.
+    LightMonitor(Box<dyn LightMonitor>),
+    /// The monochromator.
+    Monochromator(Box<dyn Monochromator>),
+    /// The spectrometer.
+    Spectrometer(Box<dyn Spectrometer>),
+    /// A camera.
+    Camera(Box<dyn Camera>),
+}
+
+/// A device as the instrument file names it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Entry {
+    /// Its name: `tilt`, `filter_wheel`, `ccd`, ….
+    pub name: String,
+    /// Its driver.
+    pub driver: String,
+    /// Its port.
+    pub port: String,
+}
+
+/// The devices of an instrument.
+pub struct ByHand<'a> {
+    instrument: &'a Instrument,
+    clock: Clock,
+    #[cfg(feature = "sim")]
+    simulated: Option<(goniod_sim::twins::Twins, goniod_sim::bench::Bench)>,
+}
+
+/// All devices of an instrument file, in the order a run opens them.
+pub fn entries(instrument: &Instrument) -> Vec<Entry> {
+    let entry = |name: &str, driver: &str, port: &str| Entry {
+        name: name.to_owned(),
+        driver: driver.to_owned(),
+        port: port.to_owned(),
+    };
+    let i = instrument;
+    let mut all = vec![
+        entry("shutter", &i.shutter.driver, &i.shutter.port),
+        entry("filter_wheel", &i.filter_wheel.driver, &i.filter_wheel.port),
+    ];
+    let axes = [("changer", i.holder.changer.is_some()), ("tilt", true), ("spin", true)];
+    all.extend(axes.iter().filter(|(_, is)| *is).map(|(name, _)| entry(name, &i.holder.driver, &i.holder.port)));
+    all.extend(i.light_monitor.iter().map(|d| entry("light_monitor", &d.driver, &d.port)));
+    all.extend(i.monochromator.iter().map(|d| entry("monochromator", &d.driver, &d.port)));
+    all.extend(i.spectrometer.iter().map(|d| entry("spectrometer", &d.driver, &d.port)));
+    all.extend(i.camera.iter().map(|(name, d)| entry(name, &d.driver, &d.port)));
+    all
+}
+
+// === impl ByHand ===
+
+impl<'a> ByHand<'a> {
+    /// The devices of `instrument`, whose file lies in `folder`; `sample` lies in a simulated bench.
+    ///
+    /// # Errors
+    /// [`BenchError`]: ports that are mixed, files of a simulated bench that are wrong.
+    pub fn new(
+        instrument: &'a Instrument,
+        folder: &Path,
+        sample: Option<&Path>,
+        clock: Clock,
+    ) -> Result<ByHand<'a>, BenchError> {
+        if !is_simulated(instrument)? {
+            return Ok(ByHand {
+                instrument,
+                clock,
+                #[cfg(feature = "sim")]
+                simulated: None,
+            });
+        }
+        #[cfg(feature = "sim")]
+        {
+            let simulation = instrument.simulation.as_ref().ok_or(BenchError::NoSimulation)?;
+            let description = folder.join(&simulation.bench);
+            let usual = description.with_file_name("samples").join("clear_glazing.toml");
+            let sample = sample.unwrap_or(&usual);
+            let parts = super::simulated::parts(instrument, &description, sample, simulation.seed, clock)?;
+            Ok(ByHand { instrument, clock, simulated: Some(parts) })
+        }
+        #[cfg(not(feature = "sim"))]
+        {
+            let _ = (folder, sample);
+            Err(BenchError::Lacks { what: "simulated bench", feature: "sim" })
+        }
+    }
+
+    /// Makes the device `name`; `None` when the instrument has none of that name.
+    ///
+    /// # Errors
+    /// [`BenchError`]: a driver that is not in this build or refuses its configuration, a port that does not exist.
+    pub fn make(&self, name: &str) -> Result<Option<Hand>, BenchError> {
+        let (i, clock) = (self.instrument, self.clock);
+        let mut connect = |driver: &str, port: &str| self.connect(driver, port);
+        let axis = |n: usize, connect: super::Connect<'_>| {
+            Ok(super::holder(i, clock, connect)?.into_iter().nth(n).map(Hand::Axis))
+        };
+        match name {
+            "tilt" => axis(0, &mut connect),
+            "spin" => axis(1, &mut connect),
+            "changer" => axis(2, &mut connect),
+            "filter_wheel" => Ok(Some(Hand::Wheel(super::filter_wheel(i, clock, &mut connect)?))),
+            "shutter" => Ok(Some(Hand::Shutter(super::shutter(i, clock, &mut connect)?))),
+            "light_monitor" => Ok(light::monitor(i, clock, &mut connect)?.map(Hand::LightMonitor)),
+            "monochromator" => Ok(light::monochromator(i, clock, &mut connect)?.map(Hand::Monochromator)),
+            "spectrometer" => Ok(light::spectrometer(i, clock)?.map(Hand::Spectrometer)),
+            camera => self.camera(camera),
+        }
+    }
+
+    fn camera(&self, name: &str) -> Result<Option<Hand>, BenchError> {
+        let Some(camera) = self.instrument.camera.get(name) else { return Ok(None) };
+        if !camera.driver.starts_with("sim-") {
+            return Ok(Some(Hand::Camera(hardware::camera(name, camera, self.clock)?)));
+        }
+        #[cfg(feature = "sim")]
+        if let Some((_, bench)) = &self.simulated {
+            return Ok(Some(Hand::Camera(Box::new(bench.camera(name)?))));
+        }
+        Err(BenchError::CameraDriver { camera: name.to_owned(), driver: camera.driver.clone() })
+    }
+
+    fn connect(&self, driver: &str, port: &str) -> Result<Box<dyn Connector>, BenchError> {
+        #[cfg(feature = "sim")]
+        if let Some((twins, _)) = &self.simulated {
+            return super::simulated::connect(twins, port, self.clock);
+        }
+        hardware::connect(driver, port, self.clock)
+    }
+}
+
+// === impl Hand ===
+
+impl Hand {
+    /// What every device can do.
+    pub fn device(&mut self) -> &mut dyn Device {
+        match self {
+            Hand::Axis(device) => device.as_mut(),
+            Hand::Wheel(device) => device.as_mut(),
+            Hand::Shutter(device) => device.as_mut(),
+            Hand::LightMonitor(device) => device.as_mut(),
+            Hand::Monochromator(device) => device.as_mut(),
+            Hand::Spectrometer(device) => device.as_mut(),
+            Hand::Camera(device) => device.as_mut(),
+        }
+    }
+}

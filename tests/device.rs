@@ -1,0 +1,131 @@
+//! Promise: a hand moves one device through the same table, instrument file and limits as a run.
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+mod common;
+
+use common::{Lab, Said, text};
+
+/// The small lab with a light monitor in its instrument.
+fn lab() -> Lab {
+    let lab = Lab::small();
+    let monitor =
+        "[light_monitor]\ndriver = \"newport-1830c\"\nport = \"sim:light-monitor\"\nwavelength_nm = 550.0\n\n";
+    lab.edit("instrument.sim.toml", &[("[camera.ccd]\n", &format!("{monitor}[camera.ccd]\n"))], true);
+    lab
+}
+
+fn device(lab: &Lab, args: &[&str]) -> Said {
+    let instrument = text(&lab.instrument());
+    let mut all = vec!["device", "--instrument", &instrument, "--json"];
+    all.extend(args);
+    lab.goniod(&all)
+}
+
+#[test]
+fn the_list_names_every_device_and_the_one_that_is_not_there() {
+    let lab = lab();
+    let said = device(&lab, &["list"]);
+    assert_eq!(said.code, 0, "{}{}", said.out, said.err);
+    let listed = said.json();
+    let names: Vec<&str> = listed["devices"].as_array().unwrap().iter().map(|d| d["name"].as_str().unwrap()).collect();
+    let all = ["shutter", "filter_wheel", "changer", "tilt", "spin", "light_monitor", "monochromator", "ccd", "ingaas"];
+    assert_eq!(names, all);
+    assert_eq!(listed["devices"][3]["identity"]["serial"], "50001");
+    lab.edit("instrument.sim.toml", &[("port = \"sim:monochromator\"", "port = \"sim:nowhere\"")], true);
+    let said = device(&lab, &["list"]);
+    assert_eq!(said.code, 5);
+    let monochromator = &said.json()["devices"][6];
+    assert!(monochromator["error"].as_str().unwrap().contains("sim:monochromator"), "{monochromator}");
+    assert!(said.json()["devices"][7]["identity"].is_object(), "the others are listed all the same");
+}
+
+#[test]
+fn each_device_moves_and_says_where_it_stands() {
+    let lab = lab();
+    for (name, to, state) in [
+        ("tilt", "30", "30°"),
+        ("tilt", "home", "0°"),
+        ("filter_wheel", "3", "slot 3"),
+        ("filter_wheel", "nir2", "slot 10"),
+        ("shutter", "open", "open"),
+        ("shutter", "closed", "closed"),
+        ("monochromator", "550", "550 nm"),
+    ] {
+        let said = device(&lab, &["move", name, to]);
+        assert_eq!(said.code, 0, "{name} {to}: {}{}", said.out, said.err);
+        assert_eq!(said.json()["state"], state, "{name} {to}");
+    }
+    let shown = device(&lab, &["show", "shutter"]).json();
+    assert_eq!((shown["state"].as_str(), shown["health"]["warnings"].as_array().unwrap().len()), (Some("closed"), 0));
+}
+
+#[test]
+fn what_is_not_permitted_is_refused_with_what_is() {
+    let lab = lab();
+    for (args, words) in [
+        (&["move", "tilt", "200"][..], "from -2 to 182 degrees"),
+        (&["move", "tilt", "upwards"], "write an angle from -2 to 182"),
+        (&["move", "tilt", "NaN"], "from -2 to 182 degrees"),
+        (&["move", "filter_wheel", "13"], "write 1 to 12 or a band"),
+        (&["move", "shutter", "ajar"], "write `open` or `closed`"),
+        (&["move", "monochromator", "1200"], "from 300 to 1100 nanometres"),
+        (&["move", "ccd", "1"], "`ccd` does not move"),
+        (&["show", "tiltt"], "no device `tiltt`; there are: shutter, filter_wheel"),
+        (&["read", "ccd", "--exposure", "1e9"], "is allowed"),
+    ] {
+        let said = device(&lab, args);
+        assert_eq!(said.code, 2, "{args:?}: {}{}", said.out, said.err);
+        assert!(said.err.contains(words), "{args:?}: {}", said.err);
+    }
+}
+
+#[test]
+fn light_is_read_by_monitor_and_camera() {
+    let lab = lab();
+    let power = device(&lab, &["read", "light_monitor"]).json()["reading"]["power_w"].as_f64().unwrap();
+    assert!((power / 1e-3 - 1.0).abs() < 0.01, "{power}");
+    let frame = device(&lab, &["read", "ccd", "--exposure", "0.05"]).json();
+    assert_eq!(frame["reading"]["exposure_s"], 0.05);
+    assert!(frame["reading"]["max_level"].as_f64().unwrap() > 0.0, "painted truth is in the picture: {frame}");
+}
+
+/// The kernel holds the lock for whoever has the instrument; a hand waits outside.
+#[test]
+fn an_instrument_in_use_is_left_alone() {
+    let lab = lab();
+    let first = device(&lab, &["show", "shutter"]);
+    assert_eq!(first.code, 0, "{}{}", first.out, first.err);
+    let folder = if std::path::Path::new("/run/lock").is_dir() { "/run/lock".into() } else { std::env::temp_dir() };
+    let real = std::fs::canonicalize(lab.instrument()).unwrap();
+    let digest = goniod::digest::sha256_hex(real.to_string_lossy().as_bytes());
+    let lock = std::fs::File::open(folder.join(format!("goniod-{}.lock", &digest[..16]))).unwrap();
+    lock.lock().unwrap();
+    let said = device(&lab, &["move", "shutter", "open"]);
+    assert_eq!(said.code, 1);
+    assert!(said.err.contains("is in use"), "{}", said.err);
+    drop(lock);
+    assert_eq!(device(&lab, &["show", "shutter"]).code, 0);
+}
+
+/// The run reads the twin through the real driver before each view; the journal keeps what it said.
+#[test]
+fn a_rehearsal_reads_the_lamp_through_the_monitor() {
+    let lab = lab();
+    let scan = lab.path("config/scans/small.toml");
+    std::fs::write(
+        &scan,
+        "name = \"small\"\n[sample]\nthickness_mm = 4.0\nsimulated = \"../sim/samples/rough_glass.toml\"\n\
+         [incidence]\ndirections = [[0, 180]]\nsides = [\"transmission-front\"]\n[bands]\nuse = [\"f5\"]\n\
+         [exposure]\npolicy = \"ladder\"\nratio = 8.0\nshortest_s = 0.03\nlongest_s = 2.0\n",
+    )
+    .unwrap();
+    let run = lab.rehearse(&scan, "runs", &["--no-products"]);
+    let dir = goniod::archive::RunDir::open(&run).unwrap();
+    let events = dir.with(|journal| journal.events()).unwrap();
+    let powers: Vec<f64> = events
+        .iter()
+        .filter(|e| e.kind == "light-read")
+        .map(|e| serde_json::from_str::<serde_json::Value>(&e.json).unwrap()["power_w"].as_f64().unwrap())
+        .collect();
+    assert!(!powers.is_empty() && powers.iter().all(|p| (p / 1e-3 - 1.0).abs() < 0.01), "{powers:?}");
+}
