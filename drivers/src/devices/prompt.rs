@@ -16,6 +16,8 @@ const QUIET: Duration = Duration::from_millis(100);
 const SYNC_TRIES: u32 = 3;
 /// Queries for two agreeing answers.
 const AGREE_TRIES: u32 = 6;
+/// Waits in a row without any answer after which a question is given up: recovery may do more than a driver.
+const MOST_SILENCES: u32 = 2;
 /// What an empty line is answered with.
 const SYNC_ANSWER: &str = "Command error CMD_NOT_DEFINED";
 
@@ -27,6 +29,8 @@ pub(super) struct PromptWire {
     pub(super) label: String,
     /// The last exchange has no proven end (lost, cut, garbled or cancelled): synchronise before the next.
     suspect: bool,
+    /// Waits in a row in which nothing came.
+    silences: u32,
     /// Times that bytes came without being asked for: restarts and noise.
     pub(super) unsolicited: u64,
 }
@@ -37,7 +41,7 @@ impl PromptWire {
     /// A wire for the device `name`; nothing is opened yet.
     pub(super) fn new(name: &str, connector: Box<dyn Connector>, clock: Clock) -> PromptWire {
         let label = format!("{name} ({})", connector.port());
-        PromptWire { connector, link: None, clock, label, suspect: true, unsolicited: 0 }
+        PromptWire { connector, link: None, clock, label, suspect: true, silences: 0, unsolicited: 0 }
     }
 
     pub(super) fn error(&self, kind: ErrorKind, message: impl Into<String>) -> DeviceError {
@@ -46,20 +50,22 @@ impl PromptWire {
 
     /// Makes sure that a synchronised link is there, connecting anew when the old one is dead.
     pub(super) async fn ensure(&mut self) -> Result<()> {
-        self.unsolicited = 0;
+        (self.unsolicited, self.silences) = (0, 0);
         if self.link.is_some() && self.synchronise().await.is_ok() {
             return Ok(());
         }
         let connected = self.connector.connect().await;
         self.link = Some(connected.map_err(|e| self.error(e.kind, e.message))?);
+        self.silences = 0;
         self.synchronise().await
     }
 
-    /// Drains until quiet and sends the empty line until its exact answer comes, at most three times.
+    /// Drains until quiet and sends the empty line until its exact answer comes, at most three times; two in silence are enough.
     pub(super) async fn synchronise(&mut self) -> Result<()> {
         self.suspect = true;
-        let mut last = String::from("nothing");
+        let (mut last, mut tries) = (String::from("nothing"), 0);
         for _ in 0..SYNC_TRIES {
+            tries += 1;
             let text = match self.synchronise_once().await {
                 Ok(text) => text,
                 Err(error) => return Err(self.fail(error)),
@@ -71,9 +77,12 @@ impl PromptWire {
                 }
                 last = format!("{text:?}");
             }
+            if self.silences >= MOST_SILENCES {
+                break;
+            }
         }
         let what = format!(
-            "no exact answer to an empty line in {SYNC_TRIES} tries (last: {last}); check power, cable, baud rate and that the right device is connected"
+            "no exact answer to an empty line in {tries} tries (last: {last}); check power, cable, baud rate and that the right device is connected"
         );
         Err(self.error(if last == "nothing" { ErrorKind::Timeout } else { ErrorKind::Garbled }, what))
     }
@@ -85,6 +94,7 @@ impl PromptWire {
         link.send(b"\r").await?;
         let text = link.prompt(deadline_from(&self.clock)).await?;
         let late = link.unsolicited().await?;
+        self.silences = if text.is_some() || late > 0 { 0 } else { self.silences + 1 };
         Ok(text.filter(|_| late == 0).map(|bytes| String::from_utf8_lossy(&bytes).into_owned()))
     }
 
@@ -112,9 +122,11 @@ impl PromptWire {
             Err(error) => Err(error),
         };
         let Some(raw) = read.map_err(|e| self.fail(e))? else {
+            self.silences += 1;
             let what = format!("no ready prompt within {} s after `{request}`", limit.as_secs_f64());
             return Err(self.error(ErrorKind::Timeout, what));
         };
+        self.silences = 0;
         let text = String::from_utf8_lossy(&raw).into_owned();
         let Some(body) = body(&text, request) else {
             let what = format!("the answer {text:?} does not begin with the echo of `{request}`");
@@ -135,6 +147,7 @@ impl PromptWire {
             match self.exchange(query, QUERY_LIMIT).await {
                 Ok(value) if last.as_ref() == Some(&value) => return Ok(value),
                 Ok(value) => last = Some(value),
+                Err(error) if self.silences >= MOST_SILENCES => return Err(error),
                 Err(error) if matches!(error.kind, ErrorKind::Timeout | ErrorKind::Garbled) => failure = Some(error),
                 Err(error) => return Err(error),
             }

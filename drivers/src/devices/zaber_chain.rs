@@ -17,6 +17,8 @@ const REPLY_LIMIT: Duration = Duration::from_millis(500);
 const QUIET: Duration = Duration::from_millis(100);
 /// Tries of a request that may be repeated.
 const TRIES: u32 = 3;
+/// Of these, requests without any reply: what stays silent needs more than asking again.
+const MOST_SILENCES: u32 = 2;
 /// Answers `AGAIN` or `FULL` taken before giving up.
 const AGAIN_TRIES: u32 = 5;
 /// Wait before asking again.
@@ -124,7 +126,7 @@ impl Wire {
     /// are asked again a bounded number of times, then `Busy`.
     pub(super) async fn ask(&mut self, at: Address, command: Command) -> Result<Reply> {
         let tries = if command.repeatable() { TRIES } else { 1 };
-        let (mut failed, mut again) = (0, 0);
+        let (mut failed, mut silent, mut again) = (0, 0, 0);
         loop {
             match self.exchange(at, command).await {
                 Ok(reply) if !reply.accepted && matches!(reply.data.as_str(), "AGAIN" | "FULL") => {
@@ -138,10 +140,12 @@ impl Wire {
                 Ok(reply) => return Ok(reply),
                 Err(error) => {
                     failed += 1;
+                    silent += u32::from(error.kind == ErrorKind::Timeout);
                     if error.kind == ErrorKind::Lost {
                         self.link = None;
                     }
-                    if failed >= tries || !matches!(error.kind, ErrorKind::Timeout | ErrorKind::Garbled) {
+                    let over = failed >= tries || silent >= MOST_SILENCES;
+                    if over || !matches!(error.kind, ErrorKind::Timeout | ErrorKind::Garbled) {
                         return Err(error);
                     }
                     tracing::debug!(port = self.connector.port(), %command, %error, "asking again");

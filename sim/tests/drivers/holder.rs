@@ -124,7 +124,7 @@ async fn a_wrong_serial_number_is_a_wrong_device() {
     let error = bench.axes[1].open().await.unwrap_err();
     assert_eq!(error.kind, ErrorKind::WrongDevice);
     assert!(error.message.contains("7777") && error.message.contains("1002"), "{error}");
-    assert_eq!(bench.axes[1].move_to(Degrees(1.0)).await.unwrap_err().kind, ErrorKind::Refused);
+    assert_eq!(bench.axes[1].move_to(Degrees(1.0)).await.unwrap_err().kind, ErrorKind::Lost);
 }
 
 #[tokio::test(start_paused = true)]
@@ -209,7 +209,7 @@ async fn a_restart_in_a_move_voids_the_position() {
     assert_eq!(error.kind, ErrorKind::Broken);
     assert!(error.message.contains("restarted"), "{error}");
     assert!((30.0..45.0).contains(&tilt(&bench)), "the stage stayed where the power left it");
-    assert_eq!(bench.axes[0].move_to(Degrees(90.0)).await.unwrap_err().kind, ErrorKind::Refused);
+    assert_eq!(bench.axes[0].move_to(Degrees(90.0)).await.unwrap_err().kind, ErrorKind::Lost);
     bench.axes[0].open().await.unwrap();
     assert_eq!(bench.axes[0].position().await.unwrap(), None);
     bench.axes[0].home().await.unwrap();
