@@ -245,12 +245,19 @@ mod tests {
     async fn a_hanging_call_is_left_and_a_new_thread_takes_over_up_to_a_bound() {
         let (mut usb, release) = threads();
         tokio::time::pause();
-        for _ in 0..MOST_HANGING {
+        for number in 1..=MOST_HANGING {
             // Real threads answer `connect` in real time, so the clock stands still only while the call hangs.
             tokio::time::resume();
             let mut link = usb.connect().await.unwrap();
             tokio::time::pause();
-            assert_eq!(link.send(2, &[0xFF], LIMIT).await, Err(UsbError::Hangs));
+            // The clock stands still while a task is ready to run: until the call hangs.
+            let hanging = async {
+                while release.lock().unwrap().len() < number {
+                    tokio::task::yield_now().await;
+                }
+            };
+            let (sent, ()) = tokio::join!(link.send(2, &[0xFF], LIMIT), hanging);
+            assert_eq!(sent, Err(UsbError::Hangs));
             assert_eq!(link.send(2, b"abc", LIMIT).await, Err(UsbError::Hangs));
         }
         tokio::time::resume();

@@ -263,6 +263,30 @@ impl Pm100Twin {
             }
             (Command::Read, true) => Some(self.read(ready)),
             (Command::Fetch, true) => Some(self.last()),
+            (Command::Zero, false) => {
+                self.zero_running = Some(*ready + Duration::from_secs(1));
+                None
+            }
+            (Command::ZeroState, true) => Some(u8::from(self.zero_running.is_some_and(|end| *ready < end)).to_string()),
+            (Command::Kept(default), true) => {
+                Some(self.kept.get(pattern).cloned().unwrap_or_else(|| default.to_owned()))
+            }
+            (Command::Kept(_), false) => {
+                match parameter {
+                    Some("ON") => drop(self.kept.insert(pattern, "1".to_owned())),
+                    Some("OFF") => drop(self.kept.insert(pattern, "0".to_owned())),
+                    Some(value) => drop(self.kept.insert(pattern, value.to_owned())),
+                    None => self.fault(-109, "Missing parameter"),
+                }
+                None
+            }
+            _ => self.setting(command, unit.query, parameter),
+        }
+    }
+
+    /// Settings that bear on what is measured.
+    fn setting(&mut self, command: Command, query: bool, parameter: Option<&str>) -> Option<String> {
+        match (command, query) {
             (Command::Wavelength, query) => {
                 let limits = (WAVELENGTHS.0, WAVELENGTHS.1, 635.0);
                 self.numeric(query, parameter, self.wavelength, limits, |twin, nm| twin.wavelength = nm)
@@ -296,23 +320,6 @@ impl Pm100Twin {
                     Some("W") => self.unit_dbm = false,
                     Some("DBM") => self.unit_dbm = true,
                     Some(_) => self.fault(-224, "Illegal parameter value"),
-                    None => self.fault(-109, "Missing parameter"),
-                }
-                None
-            }
-            (Command::Zero, false) => {
-                self.zero_running = Some(*ready + Duration::from_secs(1));
-                None
-            }
-            (Command::ZeroState, true) => Some(u8::from(self.zero_running.is_some_and(|end| *ready < end)).to_string()),
-            (Command::Kept(default), true) => {
-                Some(self.kept.get(pattern).cloned().unwrap_or_else(|| default.to_owned()))
-            }
-            (Command::Kept(_), false) => {
-                match parameter {
-                    Some("ON") => drop(self.kept.insert(pattern, "1".to_owned())),
-                    Some("OFF") => drop(self.kept.insert(pattern, "0".to_owned())),
-                    Some(value) => drop(self.kept.insert(pattern, value.to_owned())),
                     None => self.fault(-109, "Missing parameter"),
                 }
                 None
