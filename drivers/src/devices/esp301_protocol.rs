@@ -125,7 +125,7 @@ impl Report {
 
     /// Axis that the report is about; `None` for the controller.
     pub fn axis(self) -> Option<u8> {
-        (self.0 >= 100).then(|| (self.0 / 100) as u8)
+        (self.0 >= 100).then_some((self.0 / 100) as u8)
     }
 
     /// True for what stops every axis: emergency stop, cable interlock, digital interlock.
