@@ -8,8 +8,10 @@ mod common;
 use common::{Lab, root, text};
 use std::fs;
 
-const COMMANDS: [&str; 12] =
-    ["check", "plan", "run", "resume", "rehearse", "reduce", "export", "report", "verify", "status", "device", "safe"];
+const COMMANDS: [&str; 18] = [
+    "check", "plan", "run", "rehearse", "resume", "reduce", "export", "report", "verify", "status", "serve", "queue",
+    "watch", "pause", "stop", "abort", "safe", "device",
+];
 
 const SCAN: &str = r#"
 name = "small"
@@ -62,6 +64,10 @@ fn the_manual_names_every_command() {
     for command in COMMANDS {
         assert!(manual.contains(&format!("| `{command} ")) || manual.contains(&format!("| `{command}`")), "{command}");
         let help = Lab::shipped().goniod(&["help", command]).out;
+        let help = match *command == *"queue" {
+            true => ["add", "list", "remove"].map(|c| Lab::shipped().goniod(&["queue", c, "--help"]).out).join(""),
+            false => help,
+        };
         let options = help.split_whitespace().filter(|word| word.starts_with("--") && !word.ends_with("help"));
         for option in options {
             assert!(manual.contains(option), "docs/cli.md does not tell {option} of `{command}`");
@@ -77,7 +83,7 @@ fn document(lab: &Lab, args: &[&str], outcome: &str) -> serde_json::Value {
     let document = said.json();
     assert_eq!(document["outcome"], outcome, "{args:?}: {}{}", said.out, said.err);
     assert_eq!(document["exit_code"].as_i64().unwrap(), i64::from(said.code), "{args:?}");
-    let failed = ["bad-input", "storage", "usage", "device"].contains(&outcome);
+    let failed = ["bad-input", "storage", "usage", "device", "no-daemon"].contains(&outcome);
     assert_eq!(document["errors"].as_array().is_some_and(|e| !e.is_empty()), failed, "{args:?}: {}", said.out);
     document
 }
@@ -111,6 +117,9 @@ fn json_is_one_document_of_every_command_also_on_errors() {
         (vec!["report", "none"], "storage"),
         (vec!["verify", "none"], "storage"),
         (vec!["status", "--runs", "none"], "storage"),
+        (vec!["queue", "list", "--socket", "none"], "no-daemon"),
+        (vec!["stop", "--socket", "none"], "no-daemon"),
+        (vec!["safe", "--socket", "none"], "no-daemon"),
     ] {
         document(&lab, &args, outcome);
     }

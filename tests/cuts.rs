@@ -144,10 +144,13 @@ fn goes_on(run: &Path, expected: &str, committed: usize, what: &str) {
     assert!(content(run) == expected, "{what}: other frames or rows than without the cut");
 }
 
+/// How a cut leaves a run directory: from where, to where, what was not durable, what is drawn.
+type Leave = fn(&Path, &Path, &State, Key);
+
 /// Copies of one run at each of its places, handed out as they are made.
 fn copies(
     folder: PathBuf,
-    (leave, salt): (fn(&Path, &Path, &State, Key), u64),
+    (leave, salt): (Leave, u64),
     wanted: impl Fn(usize) -> bool + Send + 'static,
     give: mpsc::SyncSender<(usize, String, PathBuf, usize)>,
 ) -> usize {
@@ -407,7 +410,7 @@ fn every_flipped_bit_of_ten_thousand_is_found() {
 
 /// Half the time a file by its size, half the time any file of a kind.
 fn pick(files: &[(PathBuf, u64)], draw: Key) -> &Path {
-    if draw.bits(0) % 2 == 0 {
+    if draw.bits(0).is_multiple_of(2) {
         let total: u64 = files.iter().map(|(_, n)| n).sum();
         let mut at = draw.bits(1) % total;
         for (path, n) in files {
@@ -509,6 +512,6 @@ fn wait_for_frames(child: &mut std::process::Child, folder: &Path, before: usize
 }
 
 fn the_run(folder: &Path) -> Option<PathBuf> {
-    let entries = fs::read_dir(folder).ok()?.flatten().map(|e| e.path());
-    entries.filter(|p| !p.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.'))).next()
+    let mut entries = fs::read_dir(folder).ok()?.flatten().map(|e| e.path());
+    entries.find(|p| !p.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.')))
 }

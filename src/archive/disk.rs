@@ -192,7 +192,10 @@ pub fn temporary_name(path: &Path) -> PathBuf {
 }
 
 /// Makes a folder with its parents and syncs each folder that got a new entry.
-pub(super) fn make_folders(disk: &dyn Disk, folder: &Path) -> Result<()> {
+///
+/// # Errors
+/// The disk's kinds.
+pub fn make_folders(disk: &dyn Disk, folder: &Path) -> Result<()> {
     if folder.as_os_str().is_empty() || folder.is_dir() {
         return Ok(());
     }

@@ -1,5 +1,6 @@
 //! `instrument.toml`: devices, ports, geometry, cameras, filter slots, limits, safe state.
 
+use super::daemon::Daemon;
 use super::night::{Interlocks, Recovery};
 use goniod_drivers::devices::camera::{AravisTable, V4l2Table};
 use goniod_drivers::frame::PixelFormat;
@@ -47,6 +48,9 @@ pub struct Instrument {
     pub recovery: Recovery,
     /// Conditions under which exposures wait or the run ends; absent = none.
     pub interlocks: Option<Interlocks>,
+    /// Where `goniod serve` listens and keeps its queue.
+    #[serde(default)]
+    pub daemon: Daemon,
 }
 
 /// Which simulated bench answers the `sim:…` ports.

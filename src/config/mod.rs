@@ -7,6 +7,7 @@
 pub mod calibration;
 pub mod check;
 pub mod curves;
+pub mod daemon;
 #[cfg(test)]
 mod docs;
 pub mod error;

@@ -1,8 +1,13 @@
-//! What people touch: the command line, the bench it opens for a run, and the oracle that judges a simulated one.
+//! What people touch: the command line, the daemon with its API, the bench they open for a run, and the oracle that
+//! judges a simulated one.
 
+pub mod api;
 pub mod bench;
 pub mod cli;
+pub mod daemon;
 pub mod night;
 #[cfg(feature = "sim")]
 pub mod oracle;
+pub mod remaining;
 pub mod resume;
+pub mod runs;

@@ -58,10 +58,30 @@ pub fn prepare(
     clock: Clock,
     seed: Option<u64>,
 ) -> Result<Night, Failure> {
-    let run_id = run_id(&checked.scan.name, clock.utc(), &plan.hash);
+    let run_id = name(checked, &plan, clock);
+    prepare_named(checked, plan, runs_dir, clock, seed, &run_id)
+}
+
+/// The name that a run beginning now gets.
+pub fn name(checked: &Checked, plan: &Plan, clock: Clock) -> String {
+    run_id(&checked.scan.name, clock.utc(), &plan.hash)
+}
+
+/// As [`prepare`], under a name that was chosen before.
+///
+/// # Errors
+/// As [`prepare`].
+pub fn prepare_named(
+    checked: &Checked,
+    plan: Plan,
+    runs_dir: &Path,
+    clock: Clock,
+    seed: Option<u64>,
+    run_id: &str,
+) -> Result<Night, Failure> {
     let files = checked.files.iter();
     let document = RunDocument {
-        run_id: run_id.clone(),
+        run_id: run_id.to_owned(),
         goniod_version: env!("CARGO_PKG_VERSION").to_owned(),
         simulated_seed: seed,
         virtual_time: clock.is_virtual(),
@@ -80,7 +100,7 @@ pub fn prepare(
     let kept: Vec<(PathBuf, Vec<u8>)> = files.map(|f| (Path::new(INPUTS).join(&f.name), f.bytes.clone())).collect();
     let shape = layout(&plan, &checked.instrument.camera).map_err(|e| Failure::new(Exit::BadInput, e.to_string()))?;
     must_fit(&RealDisk, runs_dir, plan.forecast.raw_bytes).map_err(storage)?;
-    let new = NewRun { run_id: &run_id, plan_toml: &text, files: &kept, layout: &shape };
+    let new = NewRun { run_id, plan_toml: &text, files: &kept, layout: &shape };
     let run = RunDir::create(runs_dir, &new).map_err(storage)?;
     let path = runs_dir.join(run_id);
     let lock = hold(&path)?;

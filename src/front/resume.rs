@@ -188,6 +188,7 @@ fn instrument_differences(was: &Instrument, is: &Instrument) -> Vec<String> {
         let mut flat = BTreeMap::new();
         let mut instrument = instrument.clone();
         instrument.auto_resume = false;
+        instrument.daemon = Default::default();
         if let Ok(value) = toml::Value::try_from(instrument) {
             flatten(&value, "", &mut flat);
         }

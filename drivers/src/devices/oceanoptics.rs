@@ -53,8 +53,12 @@ struct Open {
     high_speed: bool,
     scale: Scale,
     exposure: ExposureTime,
+    /// The status tells when a request is under way; a device that says so while it rests does not.
+    busy_tells: bool,
     /// Something went wrong or was left unfinished: bring the device into a known state first.
     suspect: bool,
+    /// The last spectrum that the device took may not be the last that came: it could be one behind.
+    behind: bool,
     /// Spectra that were thrown away because they were not right, since opening.
     bad: u64,
     /// Raw counts of the last kept spectrum.
@@ -100,6 +104,9 @@ impl OceanOptics {
 
     /// One short question and its answer.
     async fn once(&mut self, question: &[u8], doing: &str) -> Result<Vec<u8>> {
+        let device = self.device()?;
+        let drained = device.link.drain(device.model.query, 64, AT_ONCE).await;
+        drained.map_err(|error| self.fail(error, doing))?;
         self.command(question, doing).await?;
         let device = self.device()?;
         let answer = device.link.read(device.model.query, 64, QUERY_LIMIT).await;
@@ -225,6 +232,7 @@ impl OceanOptics {
         let device = self.device()?;
         device.scale = scale;
         device.high_speed = status.high_speed;
+        device.busy_tells = !status.busy;
         let firmware = device.link.info().manufacturer.clone();
         let identity = Identity { model: device.model.name.to_owned(), firmware, serial };
         self.set_time(FIRST_TIME).await?;
@@ -270,23 +278,29 @@ impl OceanOptics {
         Err(self.error(ErrorKind::Broken, what))
     }
 
+    /// A request that was made is not answered yet.
+    async fn is_busy(&mut self) -> Result<bool> {
+        Ok(self.device()?.busy_tells && self.status().await?.busy)
+    }
+
     /// After a failure: wait until the device is done with what it was asked, drain, prove the settings; `hard` also
     /// puts it into its power-up state first.
     async fn recover(&mut self, hard: bool) -> Result<()> {
         let exposure = self.device()?.exposure;
+        self.device()?.behind = true;
         if hard {
             self.restart().await?;
         }
         for _ in 0..BUSY_LOOKS {
             self.quiet_spectra().await?;
-            if !self.status().await?.busy {
-                break;
+            if !self.is_busy().await? {
+                self.quiet_spectra().await?;
+                self.set_time(exposure).await?;
+                return Ok(());
             }
             self.clock.sleep(exposure.duration() / 4).await;
         }
-        self.quiet_spectra().await?;
-        self.set_time(exposure).await?;
-        Ok(())
+        Err(self.error(ErrorKind::Timeout, "the device does not end an old request for a spectrum"))
     }
 
     /// One spectrum: the period that runs when the request comes.
@@ -309,14 +323,23 @@ impl OceanOptics {
         Ok(counts)
     }
 
-    /// Two spectra in a row: the first may have begun before this call, the second has not.
+    /// Two spectra in a row: the first may have begun before this call, the second has not. Three where the device could
+    /// be one behind; where it could not, a device that is shows by the last spectrum coming again.
     async fn take_fresh(&mut self) -> Result<Vec<u16>> {
-        let early = self.take().await?;
+        let mut early = self.take().await?;
+        if self.device()?.behind {
+            early = self.take().await?;
+        }
         let counts = self.take().await?;
+        if self.is_busy().await? {
+            // Then these were the answers to older requests, and the last one is still to come.
+            self.device()?.suspect = true;
+            return Err(self.error(ErrorKind::Garbled, "more spectra are under way than were asked for"));
+        }
         let device = self.device()?;
         let flat = counts.windows(2).all(|pair| matches!(pair, [a, b] if a == b));
         // A detector has noise: two equal spectra are one that was sent twice.
-        if counts == early || counts == device.last || flat {
+        if counts == early || early == device.last || counts == device.last || flat {
             device.suspect = true;
             let what = if flat { "all pixels are equal" } else { "the same spectrum came twice" };
             return Err(self.error(ErrorKind::Garbled, format!("{what}; the detector does not run")));
@@ -339,9 +362,11 @@ impl Device for OceanOptics {
             link,
             model,
             high_speed: false,
+            busy_tells: false,
             scale: Scale::default(),
             exposure: FIRST_TIME,
             suspect: true,
+            behind: true,
             bad: 0,
             last: Vec::new(),
         });
@@ -414,6 +439,7 @@ impl Spectrometer for OceanOptics {
                     let device = self.device()?;
                     let spectrum = device.scale.spectrum(device.model, &counts, device.exposure, at);
                     device.last = counts;
+                    device.behind = false;
                     return Ok(spectrum);
                 }
                 Err(error) if retry(&error) => {

@@ -78,7 +78,7 @@ proptest! {
     #[test]
     fn only_the_right_length_and_end_make_a_spectrum(seed in any::<u64>(), cut in 0_usize..300, last in any::<u8>()) {
         for model in &MODELS {
-            let mut bytes: Vec<u8> = (0..model.spectrum_bytes() as u64 - 1).map(|i| (seed ^ i * 31) as u8).collect();
+            let mut bytes: Vec<u8> = (0..model.spectrum_bytes() as u64 - 1).map(|i| (seed ^ (i * 31)) as u8).collect();
             bytes.push(last);
             prop_assert_eq!(model.counts(&bytes).is_some(), last == SYNC);
             if cut > 0 {

@@ -76,7 +76,7 @@ pub enum WheelKind {
     OffByOne,
     /// It says "done" before it stands.
     EarlyDone,
-    /// It cannot tell its place while it turns.
+    /// It says "done" before it stands and cannot tell its place while it turns.
     PlaceUntold,
 }
 

@@ -110,7 +110,11 @@ impl Targets {
             Kind::Wheel(kind) => match kind {
                 WheelKind::OffByOne => twins.inject(Fault::Wheel(WheelFault::Button(1))),
                 WheelKind::EarlyDone => twins.inject(Fault::Wheel(WheelFault::PromptEarly)),
-                WheelKind::PlaceUntold => twins.inject(Fault::Wheel(WheelFault::PositionEmpty)),
+                WheelKind::PlaceUntold => {
+                    // Asked while it turns, which only an early prompt brings about.
+                    twins.inject(Fault::Wheel(WheelFault::PositionEmpty));
+                    twins.inject(Fault::Wheel(WheelFault::PromptEarly));
+                }
                 WheelKind::Stuck => self.passing(clock, draw, |on| Fault::Wheel(WheelFault::Jam(on))),
             },
             Kind::Shutter(kind) => self.shutter(kind, draw, clock),

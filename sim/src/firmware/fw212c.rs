@@ -139,7 +139,8 @@ impl Fw212cTwin {
 
     /// True while an injected fault waits for its occasion.
     pub fn faults_wait(&self) -> bool {
-        let flags = [self.prompt_early, self.position_empty, self.lost_edge, self.restart_on_command];
+        // That no place is told while the wheel turns is a habit, not an event.
+        let flags = [self.prompt_early, self.lost_edge, self.restart_on_command];
         self.port.faults_wait() || flags.contains(&true)
     }
 

@@ -18,6 +18,7 @@ pub mod prompt;
 pub mod sc10;
 pub mod smc100;
 mod smc100_box;
+pub mod usb;
 pub mod zaber;
 mod zaber_axis;
 mod zaber_stage;

@@ -5,7 +5,7 @@ use tokio::time::Instant;
 /// What a device answers to a transfer.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Answer {
-    /// Bytes (IN) or the acceptance of all bytes (OUT, empty).
+    /// Bytes (IN; more than asked for is an overflow) or the acceptance of all bytes (OUT, empty).
     Data(Vec<u8>),
     /// Not ready: the host waits and asks again.
     Nak,
@@ -54,6 +54,10 @@ pub trait UsbTwin: Send + 'static {
     fn reset(&mut self, now: Instant);
     /// When a bulk IN endpoint that said `Nak` may have something; `None` while only a transfer can change that.
     fn due(&self) -> Option<Instant>;
+    /// True once when the device has left the bus by itself (a restart): its host sees it go, and finds it anew.
+    fn left_bus(&mut self) -> bool {
+        false
+    }
 }
 
 /// What a device says of itself.

@@ -76,6 +76,7 @@ pub fn check(scan_path: &Path, instrument_path: &Path, options: &Options) -> Res
 
     devices::check(&instrument, options, &mut issues);
     optics::check(&instrument, &mut issues);
+    instrument.value.daemon.check(&instrument.source, &mut issues);
     let spectra = inputs.spectra(&instrument, &mut issues);
     let bench = inputs.bench(&instrument, &mut issues);
     let calibrations = calibration::read(&instrument, options, &mut inputs, &mut issues);

@@ -4,10 +4,9 @@ mod say;
 mod work;
 
 use super::exit::Exit;
-use super::input::{bad_input, instrument_path, today};
+use super::input::{bad_input, check_options, instrument_path};
 use super::output::{Failure, Outcome, Output};
-use super::run::{exit_of_bench, no_runtime};
-use crate::digest::sha256_hex;
+use super::run::{exit_of_bench, lock_instrument, no_runtime};
 use crate::config::check::check_devices;
 use crate::config::instrument::Instrument;
 use crate::front::bench::by_hand::{ByHand, Entry, Hand, entries};
@@ -15,11 +14,7 @@ use crate::front::bench::is_simulated;
 use goniod_drivers::clock::Clock;
 use goniod_drivers::error::DeviceError;
 use say::{Listed, Report};
-use std::fs::{File, OpenOptions, TryLockError};
 use std::path::{Path, PathBuf};
-
-/// Where the locks of instruments lie, where the machine has this folder.
-const LOCKS: &str = "/run/lock";
 
 /// Arguments.
 #[derive(Debug, clap::Args)]
@@ -63,8 +58,8 @@ enum Verb {
 /// Runs the command.
 pub fn run(args: Args, output: &Output) -> Outcome {
     let path = instrument_path(args.instrument.as_deref())?;
-    let instrument = check_devices(&path, today()).map_err(bad_input)?;
-    let _held = hold(&path)?;
+    let instrument = check_devices(&path, check_options(Clock::system()).today).map_err(bad_input)?;
+    let _held = lock_instrument(&path, &instrument, "goniod device")?;
     let simulated = is_simulated(&instrument).map_err(|e| Failure::new(exit_of_bench(&e), e.to_string()))?;
     let mut builder = tokio::runtime::Builder::new_current_thread();
     // The simulated bench lives in virtual time, as in a rehearsal.
@@ -141,27 +136,4 @@ fn usage(message: String) -> Failure {
 
 fn device(error: DeviceError) -> Failure {
     Failure::new(Exit::Device, error.to_string())
-}
-
-/// Holds the instrument for this process: a run that is going on has it, and then no hand may move it.
-fn hold(instrument: &Path) -> Result<File, Failure> {
-    let real = std::fs::canonicalize(instrument).unwrap_or_else(|_| instrument.to_owned());
-    let folder = if Path::new(LOCKS).is_dir() { PathBuf::from(LOCKS) } else { std::env::temp_dir() };
-    let digest = sha256_hex(real.to_string_lossy().as_bytes());
-    let path = folder.join(format!("goniod-{}.lock", digest.get(..16).unwrap_or(&digest)));
-    let failed = |e: std::io::Error| Failure::new(Exit::Failed, format!("the lock {}: {e}", path.display()));
-    let made = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
-    // Made by another user: to be locked it need not be written.
-    let file = made.or_else(|_| File::open(&path)).map_err(failed)?;
-    match file.try_lock() {
-        Ok(()) => Ok(file),
-        Err(TryLockError::WouldBlock) => {
-            let what = format!(
-                "the instrument {} is in use by a run or another command; wait for its end, or stop it",
-                instrument.display()
-            );
-            Err(Failure::new(Exit::Failed, what))
-        }
-        Err(TryLockError::Error(e)) => Err(failed(e)),
-    }
 }

@@ -23,13 +23,17 @@ pub enum Exit {
     Stopped,
     /// `verify` found damage.
     Damaged,
+    /// The daemon does not run.
+    NoDaemon,
+    /// What was asked cannot be done now: the instrument is in use, the run is in another state.
+    Refused,
 }
 
 // === impl Exit ===
 
 impl Exit {
     /// All codes in order.
-    pub const ALL: [Exit; 9] = [
+    pub const ALL: [Exit; 11] = [
         Exit::Done,
         Exit::Failed,
         Exit::Usage,
@@ -39,6 +43,8 @@ impl Exit {
         Exit::Storage,
         Exit::Stopped,
         Exit::Damaged,
+        Exit::NoDaemon,
+        Exit::Refused,
     ];
 
     /// The number given to the shell.
@@ -58,6 +64,8 @@ impl Exit {
             Exit::Storage => "storage",
             Exit::Stopped => "stopped",
             Exit::Damaged => "damaged",
+            Exit::NoDaemon => "no-daemon",
+            Exit::Refused => "refused",
         }
     }
 }

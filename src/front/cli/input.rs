@@ -7,6 +7,7 @@ use crate::config::error::ConfigError;
 use crate::config::scan::Format;
 use crate::engine::bsdf::set::Quantity;
 use crate::front::bench::CAMERA_DRIVERS;
+use crate::front::night::stamp;
 use crate::products::error::ProductError;
 use crate::products::reduce::{InstrumentSpectra, Run, Setup, Standards, quantities};
 use goniod_drivers::clock::{Clock, UtcMicros};
@@ -29,9 +30,7 @@ impl ScanArgs {
     /// Reads and checks everything; warnings are told on the way.
     pub fn check(&self, output: &Output) -> Result<Checked, Failure> {
         let instrument = instrument_path(self.instrument.as_deref())?;
-        let drivers = DRIVERS.iter().map(|d| d.name).chain(CAMERA_DRIVERS.iter().copied()).map(str::to_owned).collect();
-        let options = Options { drivers, today: today() };
-        let checked = check(&self.scan, &instrument, &options).map_err(bad_input)?;
+        let checked = check(&self.scan, &instrument, &check_options(Clock::system())).map_err(bad_input)?;
         for warning in &checked.warnings {
             output.warn(&warning.to_string());
         }
@@ -66,6 +65,12 @@ fn klems_without_reach(checked: &Checked) -> Result<Option<String>, ProductError
     }))
 }
 
+/// What the checks are to know: the drivers of this build, and the day by this clock.
+pub fn check_options(clock: Clock) -> Options {
+    let drivers = DRIVERS.iter().map(|d| d.name).chain(CAMERA_DRIVERS.iter().copied()).map(str::to_owned).collect();
+    Options { drivers, today: stamp(clock.utc()).to_zoned(jiff::tz::TimeZone::UTC).date() }
+}
+
 /// The instrument file: as given, else the first of the usual places.
 pub fn instrument_path(given: Option<&Path>) -> Result<PathBuf, Failure> {
     if let Some(path) = given {
@@ -84,11 +89,6 @@ pub fn instrument_path(given: Option<&Path>) -> Result<PathBuf, Failure> {
             ),
         )
     })
-}
-
-/// Today, by the system's calendar.
-pub fn today() -> jiff::civil::Date {
-    crate::front::night::stamp(Clock::system().utc()).to_zoned(jiff::tz::TimeZone::UTC).date()
 }
 
 /// A moment given as RFC 3339.

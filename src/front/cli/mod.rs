@@ -4,19 +4,24 @@ pub mod exit;
 pub mod output;
 
 mod check;
+mod daemon;
 mod device;
 mod export;
-mod input;
+pub mod input;
 mod plan;
 mod progress;
+mod queue;
 mod reduce;
 mod rehearse;
 mod report;
 mod resume;
 mod run;
 mod safe;
+mod serve;
 mod status;
+mod verbs;
 mod verify;
+mod watch;
 
 pub use run::exit_of_bench;
 
@@ -59,8 +64,20 @@ enum Command {
     Status(status::Args),
     /// Look at, move or read one device by hand.
     Device(device::Args),
-    /// Make the bench safe, past everything else.
+    /// Make the bench safe, past everything else; the queue is then held.
     Safe(safe::Args),
+    /// Serve the queue: the daemon.
+    Serve(serve::Args),
+    /// Tell the daemon what to measure.
+    Queue(queue::Args),
+    /// Follow what the daemon does.
+    Watch(watch::Args),
+    /// Close the shutter after the exposure under way and wait.
+    Pause(verbs::PauseArgs),
+    /// End the run after the exposure under way, safely; the queue is then held.
+    Stop(verbs::Args),
+    /// End the run now, safely; the queue is then held.
+    Abort(verbs::Args),
 }
 
 /// Parses the command line, runs the command and gives its exit code.
@@ -104,6 +121,12 @@ fn dispatch(command: Command, output: &Output) -> Outcome {
         Command::Status(args) => status::run(args, output),
         Command::Device(args) => device::run(args, output),
         Command::Safe(args) => safe::run(args, output),
+        Command::Serve(args) => serve::run(args, output),
+        Command::Queue(args) => queue::run(args, output),
+        Command::Watch(args) => watch::run(args, output),
+        Command::Pause(args) => verbs::pause(&args, output),
+        Command::Stop(args) => verbs::give("stop", &args.daemon, output),
+        Command::Abort(args) => verbs::give("abort", &args.daemon, output),
     }
 }
 

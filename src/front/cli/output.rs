@@ -74,6 +74,11 @@ impl Output {
         }
     }
 
+    /// A line of a stream of documents, as it is.
+    pub fn raw_line(&self, text: &str) {
+        self.line(text);
+    }
+
     /// A warning for people, on standard error.
     pub fn warn(&self, text: &str) {
         let _ = writeln!(std::io::stderr(), "goniod: warning: {text}");

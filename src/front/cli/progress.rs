@@ -3,6 +3,7 @@
 use crate::control::events::{Event, Stamped};
 use crate::control::plan::Plan;
 use crate::front::night::stamp;
+use crate::front::remaining::left_s;
 use goniod_drivers::clock::UtcMicros;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use tokio::sync::broadcast;
@@ -61,11 +62,7 @@ async fn follow(bar: ProgressBar, mut events: broadcast::Receiver<Stamped>, fore
                 let done = stored + missing;
                 bar.set_position(u64::from(done));
                 let elapsed_s = (now.0 - begin.0) as f64 / 1e6;
-                let share = f64::from(done) / steps.max(1) as f64;
-                // The forecast rules at first, what was seen later.
-                let seen_s = if share > 0.0 { elapsed_s / share } else { forecast_s };
-                let total_s = (1.0 - share) * forecast_s.max(elapsed_s) + share * seen_s;
-                let left_s = (total_s - elapsed_s).max(0.0);
+                let left_s = left_s(forecast_s, elapsed_s, done, steps as u32);
                 let end = UtcMicros(now.0 + (left_s * 1e6) as i64);
                 let clock = stamp(end).strftime("%H:%M:%S UTC").to_string();
                 bar.set_message(format!("{} left, done at {clock}", duration(left_s)));

@@ -40,7 +40,7 @@ pub fn run(args: Args, output: &Output) -> Outcome {
         tokio::runtime::Builder::new_current_thread().enable_all().start_paused(true).build().map_err(no_runtime)?;
     let rehearsal = Rehearsal { seed: args.seed, sample: args.sample, faults: args.faults };
     let open = |clock| open_simulated(&checked, &rehearsal, clock);
-    let work = measure(&checked, &args.runs, || Clock::starting_at(start), open, output);
+    let work = measure(&checked, &args.runs, || Clock::starting_at(start), open, (None, output));
     let (ran, exit) = runtime.block_on(work)?;
     finish(ran, exit, !args.no_products, output)
 }

@@ -1,12 +1,15 @@
 //! `goniod resume [RUN]`: goes on with a run at the exposure where it ended, was stopped or was cut short.
 
+use super::daemon::{DaemonArgs, runs};
 use super::exit::Exit;
 use super::input::instrument_path;
 use super::output::{Failure, Outcome, Output};
-use super::run::{carry_out, exit_of_bench, finish, no_runtime};
+use super::run::{carry_out, exit_of_bench, finish, lock_instrument, no_runtime};
 use crate::config::instrument::Instrument;
 use crate::config::load::load;
+use crate::front::api::answers::NewEntry;
 use crate::front::bench::{Rehearsal, open_as_written, open_simulated};
+use crate::front::daemon::lock::Locks;
 use crate::front::resume::{Unfinished, newest_unfinished};
 use goniod_drivers::clock::Clock;
 use std::path::{Path, PathBuf};
@@ -16,9 +19,8 @@ use std::path::{Path, PathBuf};
 pub struct Args {
     /// The run directory [default: the newest unfinished run of the instrument].
     run: Option<PathBuf>,
-    /// The instrument file [default: $GONIOD_INSTRUMENT, config/instrument.toml, /etc/goniod/instrument.toml].
-    #[arg(long, value_name = "FILE")]
-    instrument: Option<PathBuf>,
+    #[command(flatten)]
+    daemon: DaemonArgs,
     /// Folder to look for the newest unfinished run in [default: `runs_dir` of the instrument file].
     #[arg(long, value_name = "DIR")]
     runs: Option<PathBuf>,
@@ -35,7 +37,10 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: Args, output: &Output) -> Outcome {
-    let file = instrument_path(args.instrument.as_deref())?;
+    if let Some(outcome) = ask_daemon(&args, output) {
+        return outcome;
+    }
+    let file = instrument_path(args.daemon.instrument.as_deref())?;
     let loaded = load::<Instrument>(&file, "instrument").map_err(|e| Failure::new(Exit::BadInput, e.to_string()))?;
     let instrument = loaded.value;
     let path = match args.run {
@@ -50,11 +55,29 @@ pub fn run(args: Args, output: &Output) -> Outcome {
     };
     let base = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let unfinished = Unfinished::compare(&path, &instrument, base, args.sample)?;
-    go_on(unfinished, args.missing, !args.no_products, output)
+    let locks = lock_instrument(&file, &instrument, "goniod resume")?;
+    go_on(unfinished, args.missing, !args.no_products, (&locks, output))
+}
+
+/// Where the daemon runs, it is asked: without RUN to go on with what is paused or held, with RUN to put the run into
+/// its queue. `None` where no daemon runs, or where the options are those of a run in the foreground.
+fn ask_daemon(args: &Args, output: &Output) -> Option<Outcome> {
+    let foreground = args.runs.is_some() || args.sample.is_some() || args.missing || args.no_products;
+    if foreground || !runs(&args.daemon) {
+        return None;
+    }
+    Some(match &args.run {
+        None => super::verbs::give("resume", &args.daemon, output),
+        Some(run) => {
+            let name = run.file_name().map(|n| n.to_string_lossy().into_owned());
+            super::queue::added(&NewEntry { scan: None, resume: name }, &args.daemon, output)
+        }
+    })
 }
 
 /// Goes on with a run, in the kind of time it was started in.
-pub fn go_on(unfinished: Unfinished, missing: bool, products: bool, output: &Output) -> Outcome {
+pub fn go_on(unfinished: Unfinished, missing: bool, products: bool, to: (&Locks, &Output)) -> Outcome {
+    let (locks, output) = to;
     let checked = unfinished.checked();
     let rehearsed = unfinished.document.virtual_time;
     let start = unfinished.last_told()?;
@@ -70,7 +93,7 @@ pub fn go_on(unfinished: Unfinished, missing: bool, products: bool, output: &Out
             if rehearsed { open_simulated(&checked, &rehearsal, clock) } else { open_as_written(&checked, clock) };
         let mut opened = opened.map_err(|e| Failure::new(exit_of_bench(&e), e.to_string()))?;
         let night = unfinished.night(missing)?;
-        carry_out(&checked, night, &mut opened, clock, output).await
+        carry_out(&checked, night, &mut opened, clock, (Some(locks), output)).await
     };
     let (ran, exit) = runtime.map_err(no_runtime)?.block_on(work)?;
     finish(ran, exit, products, output)

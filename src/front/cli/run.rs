@@ -1,13 +1,15 @@
 //! `goniod run SCAN`: measures in the foreground, on the hardware or in real time on a simulated bench.
 
 use super::exit::Exit;
-use super::input::ScanArgs;
+use super::input::{ScanArgs, instrument_path};
 use super::output::{Failure, Outcome, Output};
 use super::progress::{Progress, duration};
 use crate::config::check::Checked;
+use crate::config::instrument::Instrument;
 use crate::control::events::EventBus;
 use crate::control::sequencer::verbs::listen_to_signals;
 use crate::front::bench::{BenchError, Opened, open_as_written};
+use crate::front::daemon::lock::Locks;
 use crate::front::night::{self, Night, exit_of};
 use crate::front::resume::{Unfinished, newest_unfinished};
 use crate::products::make::{Made, make_all};
@@ -61,12 +63,14 @@ pub fn run(args: Args, output: &Output) -> Outcome {
     let checked = args.scan.check(output)?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(no_runtime)?;
     let runs = args.runs.unwrap_or_else(|| checked.instrument.runs_dir.clone());
+    let path = instrument_path(args.scan.instrument.as_deref())?;
+    let locks = lock_instrument(&path, &checked.instrument, "goniod run")?;
     if let Some(unfinished) = to_go_on_with(&checked, &runs)? {
         output.say(&format!("going on with {}", unfinished.path.display()));
-        return super::resume::go_on(unfinished, false, !args.no_products, output);
+        return super::resume::go_on(unfinished, false, !args.no_products, (&locks, output));
     }
     let open = |clock| open_as_written(&checked, clock);
-    let work = measure(&checked, &runs, Clock::system, open, output);
+    let work = measure(&checked, &runs, Clock::system, open, (Some(&locks), output));
     let (ran, exit) = runtime.block_on(work)?;
     finish(ran, exit, !args.no_products, output)
 }
@@ -86,19 +90,27 @@ fn to_go_on_with(checked: &Checked, runs: &Path) -> Result<Option<Unfinished>, F
     Ok((same && !run.document.virtual_time).then_some(run))
 }
 
+/// Takes the instrument for this process.
+///
+/// # Errors
+/// Somebody else has it, as a refused command.
+pub fn lock_instrument(path: &Path, instrument: &Instrument, who: &str) -> Result<Locks, Failure> {
+    Locks::of_instrument(path, instrument, who).map_err(|e| Failure::new(super::serve::exit_of(&e), e.to_string()))
+}
+
 /// Opens the bench, makes the run directory and measures, on the runtime it is called on.
 pub async fn measure(
     checked: &Checked,
     runs: &Path,
     clock: impl FnOnce() -> Clock,
     open: impl FnOnce(Clock) -> Result<Opened, BenchError>,
-    output: &Output,
+    (locks, output): (Option<&Locks>, &Output),
 ) -> Result<(Ran, Exit), Failure> {
     let plan = night::plan(checked)?;
     let clock = clock();
     let mut opened = open(clock).map_err(|e| Failure::new(exit_of_bench(&e), e.to_string()))?;
     let night = night::prepare(checked, plan, runs, clock, opened.seed)?;
-    carry_out(checked, night, &mut opened, clock, output).await
+    carry_out(checked, night, &mut opened, clock, (locks, output)).await
 }
 
 /// Measures what a run has to do, with progress and signals, on the runtime it is called on.
@@ -107,9 +119,12 @@ pub async fn carry_out(
     night: Night,
     opened: &mut Opened,
     clock: Clock,
-    output: &Output,
+    (locks, output): (Option<&Locks>, &Output),
 ) -> Result<(Ran, Exit), Failure> {
     output.say(&format!("run {}", night.path.display()));
+    if let Some(locks) = locks {
+        locks.tell(Some(&night.path.display().to_string()));
+    }
     let events = EventBus::default();
     let progress = Progress::begin(&night.plan, events.subscribe(), output.json);
     let (sender, verbs) = mpsc::channel(VERBS);

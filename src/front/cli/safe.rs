@@ -1,6 +1,7 @@
-//! `goniod safe --direct`: makes the bench safe without a run and without the daemon: opens what the safe state lists,
-//! tries all of it, and tells how each device stands.
+//! `goniod safe`: asks the daemon to make the bench safe; `--direct` does it without a run and without the daemon:
+//! opens what the safe state lists, tries all of it, and tells how each device stands.
 
+use super::daemon::DaemonArgs;
 use super::exit::Exit;
 use super::input::instrument_path;
 use super::output::{Failure, Outcome, Output};
@@ -11,17 +12,15 @@ use crate::control::devices::safe::{SafeReport, SafeResult};
 use crate::front::bench::open_direct;
 use goniod_drivers::clock::Clock;
 use serde::Serialize;
-use std::path::PathBuf;
 
 /// Arguments.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Open the devices here and now; a run that holds them should be told with SIGTERM first.
-    #[arg(long, required = true)]
+    #[arg(long)]
     direct: bool,
-    /// The instrument file [default: $GONIOD_INSTRUMENT, config/instrument.toml, /etc/goniod/instrument.toml].
-    #[arg(long, value_name = "FILE")]
-    instrument: Option<PathBuf>,
+    #[command(flatten)]
+    daemon: DaemonArgs,
 }
 
 #[derive(Serialize)]
@@ -32,14 +31,22 @@ struct Safe {
 
 /// Runs the command.
 pub fn run(args: Args, output: &Output) -> Outcome {
-    let file = instrument_path(args.instrument.as_deref())?;
+    if !args.direct {
+        return super::verbs::give("safe", &args.daemon, output).map_err(|mut failure| {
+            if failure.exit == Exit::NoDaemon {
+                failure.messages.push("without the daemon, `goniod safe --direct` opens the devices itself".to_owned());
+            }
+            failure
+        });
+    }
+    let file = instrument_path(args.daemon.instrument.as_deref())?;
     let loaded = load::<Instrument>(&file, "instrument").map_err(|e| Failure::new(Exit::BadInput, e.to_string()))?;
     let instrument = loaded.value;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(no_runtime)?;
     let devices = runtime.block_on(async {
         let clock = Clock::system();
         let mut bench = open_direct(&instrument, clock).map_err(|e| Failure::new(exit_of_bench(&e), e.to_string()))?;
-        Ok(bench.make_safe(&instrument.safe_state, clock).await)
+        Ok::<_, Failure>(bench.make_safe(&instrument.safe_state, clock).await)
     })?;
     let safe = devices.iter().all(|report| report.outcome == SafeResult::Confirmed);
     let exit = if safe { Exit::Done } else { Exit::Device };

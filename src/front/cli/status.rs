@@ -1,65 +1,71 @@
-//! `goniod status`: what the runs of an instrument are doing or how they ended.
+//! `goniod status`: what is going on, asked of the daemon where it runs, else read from the run directories.
 
+use super::daemon::{DaemonArgs, asked};
 use super::exit::Exit;
 use super::input::instrument_path;
 use super::output::{Failure, Outcome, Output};
-use crate::archive::RunDir;
+use super::progress::duration;
 use crate::config::instrument::Instrument;
 use crate::config::load::load;
-use crate::control::events::Event;
-use crate::front::night::stamp;
-use goniod_drivers::clock::UtcMicros;
+use crate::front::api::answers::{RunNow, Status};
+use crate::front::api::client::ClientError;
+use crate::front::runs::{RunStatus, latest};
+use hyper::Method;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
 /// Arguments.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Folder with run directories [default: `runs_dir` of the instrument file].
+    /// Folder with run directories; the daemon is then not asked [default: `runs_dir` of the instrument file].
     #[arg(long, value_name = "DIR")]
     runs: Option<PathBuf>,
-    /// The instrument file.
-    #[arg(long, value_name = "FILE")]
-    instrument: Option<PathBuf>,
+    #[command(flatten)]
+    daemon: DaemonArgs,
     /// How many of the latest runs to tell.
     #[arg(long, default_value_t = 10)]
     last: usize,
 }
 
 #[derive(Serialize)]
-struct Status {
+struct Told {
+    /// What the daemon says; absent where none runs.
+    daemon: Option<Status>,
     runs_dir: PathBuf,
     runs: Vec<RunStatus>,
 }
 
-#[derive(Serialize)]
-struct RunStatus {
-    run: PathBuf,
-    /// `open` (under way or cut short), or how it ended.
-    state: String,
-    stored: u32,
-    missing: u32,
-    planned: u32,
-    rejected: u32,
-    bytes: u64,
-    last_event: Option<String>,
-}
-
 /// Runs the command.
 pub fn run(args: Args, output: &Output) -> Outcome {
-    let runs_dir = match args.runs {
-        Some(runs) => runs,
-        None => runs_of(&instrument_path(args.instrument.as_deref())?)?,
+    let daemon = match args.runs {
+        Some(_) => None,
+        None => ask(&args.daemon)?,
     };
-    let entries = std::fs::read_dir(&runs_dir).map_err(|e| {
-        Failure::new(Exit::Storage, format!("{}: cannot be read ({e}); there are no runs yet?", runs_dir.display()))
-    })?;
-    let mut paths: Vec<PathBuf> = entries.flatten().map(|e| e.path()).collect();
-    paths.sort();
-    let mut runs: Vec<RunStatus> = paths.iter().rev().filter_map(|p| status_of(p)).take(args.last).collect();
-    runs.reverse();
-    let status = Status { runs_dir, runs };
-    output.result(Exit::Done, &status, || text(&status))
+    let runs_dir = match (&args.runs, &daemon) {
+        (Some(runs), _) => runs.clone(),
+        (None, Some(status)) => status.runs_dir.clone(),
+        (None, None) => runs_of(&instrument_path(args.daemon.instrument.as_deref())?)?,
+    };
+    let runs = match latest(&runs_dir, args.last) {
+        Ok(runs) => runs,
+        // A daemon that has not begun its first run.
+        Err(_) if daemon.is_some() => Vec::new(),
+        Err(e) => {
+            let why = format!("{}: cannot be read ({e}); there are no runs yet?", runs_dir.display());
+            return Err(Failure::new(Exit::Storage, why));
+        }
+    };
+    let told = Told { daemon, runs_dir, runs };
+    output.result(Exit::Done, &told, || text(&told))
+}
+
+/// What the daemon says, where one runs.
+fn ask(args: &DaemonArgs) -> Result<Option<Status>, Failure> {
+    match asked(args, |client| async move { client.ask(Method::GET, "/v1/status", None::<&()>).await }) {
+        Ok(status) => Ok(Some(status)),
+        Err(ClientError::NotRunning { .. }) if args.socket.is_none() => Ok(None),
+        Err(e) => Err(e.into()),
+    }
 }
 
 fn runs_of(instrument: &Path) -> Result<PathBuf, Failure> {
@@ -68,41 +74,60 @@ fn runs_of(instrument: &Path) -> Result<PathBuf, Failure> {
         .map_err(|e| Failure::new(Exit::BadInput, e.to_string()))
 }
 
-/// `None` for a folder that is no run.
-fn status_of(path: &Path) -> Option<RunStatus> {
-    let dir = RunDir::open(path).ok()?;
-    let (summary, events) = dir.with(|j| Ok((j.summary()?, j.events()?))).ok()?;
-    let ending = events.iter().rev().find_map(|e| match serde_json::from_str::<Event>(&e.json) {
-        Ok(Event::RunEnded { ending, .. }) => Some(format!("{ending:?}").to_lowercase()),
-        _ => None,
-    });
-    let last = events.last().map(|e| format!("{} {}", stamp(UtcMicros(e.utc_us)), e.kind));
-    Some(RunStatus {
-        run: path.to_owned(),
-        state: ending.unwrap_or_else(|| "open".to_owned()),
-        stored: summary.stored,
-        missing: summary.missing,
-        planned: summary.planned,
-        rejected: summary.rejected,
-        bytes: summary.bytes,
-        last_event: last,
-    })
+fn text(told: &Told) -> String {
+    let mut lines: Vec<String> = told.daemon.iter().flat_map(daemon_lines).collect();
+    if told.runs.is_empty() {
+        lines.push(format!("{}: no runs", told.runs_dir.display()));
+    }
+    lines.extend(told.runs.iter().map(run_line));
+    lines.join("\n")
 }
 
-fn text(status: &Status) -> String {
-    if status.runs.is_empty() {
-        return format!("{}: no runs", status.runs_dir.display());
+fn daemon_lines(status: &Status) -> Vec<String> {
+    let mut lines = Vec::new();
+    match &status.run {
+        Some(run) => lines.push(now_line(run)),
+        None => lines.push(format!("{}: idle", status.instrument)),
     }
-    let line = |r: &RunStatus| {
-        format!(
-            "{:<10} {:>6} stored {:>5} missing {:>6} not done  {:>8.1} MB  {}",
-            r.state,
-            r.stored,
-            r.missing,
-            r.planned,
-            r.bytes as f64 / 1e6,
-            r.run.display()
-        )
-    };
-    status.runs.iter().map(line).collect::<Vec<_>>().join("\n")
+    lines.extend(status.held.as_ref().map(|why| format!("the queue is held: {why}")));
+    lines.push(format!("{} waiting", status.waiting));
+    if status.bad_entries > 0 {
+        lines.push(format!(
+            "{} entries of the queue cannot be read; `goniod queue list` names them",
+            status.bad_entries
+        ));
+    }
+    if let Some(headline) = &status.headline {
+        lines.push(String::new());
+        lines.push(headline.run.clone());
+        lines.extend(headline.lines.iter().cloned());
+    }
+    lines.push(String::new());
+    lines
+}
+
+/// The run under way in one line.
+pub fn now_line(run: &RunNow) -> String {
+    format!(
+        "{} {}: {} of {} exposures stored, {} missing; {} left, done at {}",
+        run.state,
+        run.run,
+        run.stored,
+        run.exposures,
+        run.missing,
+        duration(run.left_s),
+        run.done_at
+    )
+}
+
+fn run_line(r: &RunStatus) -> String {
+    format!(
+        "{:<10} {:>6} stored {:>5} missing {:>6} not done  {:>8.1} MB  {}",
+        r.state,
+        r.stored,
+        r.missing,
+        r.planned,
+        r.bytes as f64 / 1e6,
+        r.run.display()
+    )
 }

@@ -7,6 +7,8 @@ mod bench;
 mod loopback;
 mod report;
 mod serial;
+#[cfg(feature = "usb")]
+mod usb;
 mod uvc;
 mod v4l2;
 mod vhci;
@@ -22,6 +24,8 @@ async fn run(subject: &str, report: &mut Report) -> bool {
         "loopback" => loopback::run(report).await,
         "vivid" => vivid::run(report).await,
         "serial" => serial::run(report).await,
+        #[cfg(feature = "usb")]
+        "usb" => usb::run(report).await,
         _ => return false,
     }
     true

@@ -1,0 +1,279 @@
+//! Carries the queue out: one run at a time, in order, for as long as the daemon lives.
+
+use super::entry::{Ended, Entry, EntryState, Products, Work};
+use super::error::DaemonError;
+use super::hub::{Current, Hub, Phase};
+use super::lock::Locks;
+use super::start::{Begun, begin};
+use crate::config::night::Recovery;
+use crate::control::events::{EventBus, Stamped};
+use crate::control::sequencer::run::Outcome;
+use crate::control::sequencer::state::{Ending, State};
+use crate::control::sequencer::verbs::Verb;
+use crate::front::night;
+use crate::front::runs::{OPEN, status_of};
+use goniod_drivers::clock::Clock;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::{broadcast, mpsc};
+
+/// Requests that may wait for the sequencer.
+const VERBS: usize = 8;
+/// How long a run may take to stop well when the daemon is to end; the unit's TimeoutStopSec is longer.
+const STOP_LIMIT: Duration = Duration::from_secs(120);
+/// Longest silence of a sound sequencer besides its exposures, seconds: homing and the slowest moves.
+const SILENCE_S: f64 = 600.0;
+/// Exposures that may pass without an event.
+const SILENT_EXPOSURES: f64 = 10.0;
+
+/// Settles what the last daemon left, then works until the daemon is to end; a run under way is then ended well and gone on with at the next start.
+pub async fn work(hub: &Arc<Hub>, locks: &Locks) {
+    let mut phase = hub.phase();
+    if settle(hub) {
+        let _bench = hub.bench.lock().await;
+        match super::safety::make_safe(hub).await {
+            Ok(words) => tracing::info!(words, "the bench was made safe after a run that was cut short"),
+            Err(why) => hold(hub, format!("a run was cut short, and the bench could not be made safe: {why}")),
+        }
+    }
+    while *phase.borrow_and_update() == Phase::Working {
+        match hub.queue(|queue| if queue.held().is_some() { None } else { queue.next().cloned() }) {
+            Some(entry) => {
+                let _bench = hub.bench.lock().await;
+                carry_out(hub, locks, &entry).await;
+            }
+            None => tokio::select! {
+                () = hub.wake.notified() => {}
+                _ = phase.changed() => {}
+            },
+        }
+    }
+}
+
+/// Carries one entry out and writes what became of it.
+async fn carry_out(hub: &Arc<Hub>, locks: &Locks, entry: &Entry) {
+    let begun = begin(hub, entry, Clock::system());
+    let mut begun = match begun {
+        Ok(begun) => begun,
+        Err(reason) => return failed(hub, entry, reason),
+    };
+    let run = begun.run.clone();
+    locks.tell(Some(&run));
+    tracing::info!(entry = entry.id, run, "begins");
+    let ended = measure(hub, entry, &mut begun).await;
+    locks.tell(None);
+    hub.set_current(None);
+    match ended {
+        Ok((outcome, by_us)) => close(hub, entry, &run, &outcome, by_us),
+        Err(reason) => {
+            failed_run(hub, entry, &run, reason.clone());
+            hold(hub, format!("the run {run} broke off: {reason}"));
+        }
+    }
+}
+
+/// Takes the exposures; gives the outcome and whether the daemon's own end cut the run short.
+async fn measure(hub: &Arc<Hub>, entry: &Entry, begun: &mut Begun) -> Result<(Outcome, bool), String> {
+    let (sender, verbs) = mpsc::channel(VERBS);
+    hub.set_current(Some(current(hub, entry, begun, sender)));
+    let events = EventBus::default();
+    let follower = tokio::spawn(follow(Arc::clone(hub), begun.run.clone(), events.subscribe()));
+    let clock = begun.clock;
+    let by_us;
+    let outcome = {
+        let running = night::measure(&begun.checked, &begun.night, &mut begun.opened, clock, verbs, &events);
+        let mut running = std::pin::pin!(running);
+        tokio::select! {
+            outcome = &mut running => { by_us = false; outcome }
+            asked = stop_when_asked(hub) => { by_us = asked; running.await }
+        }
+    };
+    drop(events);
+    // The follower ends with the bus; it has only bounded work left.
+    let _ = hub.clock.timeout(Duration::from_secs(5), follower).await;
+    outcome.map(|outcome| (outcome, by_us)).map_err(|failure| failure.messages.join("; "))
+}
+
+/// Never ends while the daemon is at work; then stops the run, and aborts it when asked again or when it takes too
+/// long. Gives whether the daemon was the first to ask for the end; it may have been the operator.
+async fn stop_when_asked(hub: &Hub) -> bool {
+    let mut phase = hub.phase();
+    // The sender lives in the hub.
+    let _ = phase.wait_for(|p| *p >= Phase::Stopping).await;
+    let Some(current) = hub.current() else { return false };
+    ask(&current.verbs, Verb::Stop).await;
+    let verbs = current.verbs.clone();
+    let clock = hub.clock;
+    tokio::spawn(async move {
+        // Asked again, or too slow: both mean now.
+        let _ = clock.timeout(STOP_LIMIT, phase.wait_for(|p| *p >= Phase::Aborting)).await;
+        ask(&verbs, Verb::Abort).await;
+    });
+    !current.end_asked
+}
+
+/// How long a lost device may be waited for.
+fn longest_outage_s(recovery: &Recovery) -> f64 {
+    let own = recovery.device.values().filter_map(|device| device.longest_outage_s);
+    own.fold(recovery.longest_outage_s, f64::max)
+}
+
+async fn ask(verbs: &mpsc::Sender<Verb>, verb: Verb) {
+    // A run that has ended meanwhile needs no request.
+    let _ = verbs.send(verb).await;
+}
+
+fn current(hub: &Hub, entry: &Entry, begun: &Begun, verbs: mpsc::Sender<Verb>) -> Current {
+    let plan = &begun.night.plan;
+    let longest_s = plan.steps.iter().map(|s| s.exposure.0).max().unwrap_or(0) as f64 / 1e6;
+    Current {
+        entry: entry.id,
+        run: begun.run.clone(),
+        scan: begun.checked.scan.name.clone(),
+        steps: plan.steps.len() as u32,
+        to_do: plan.steps.len() as u32,
+        stored: 0,
+        missing: 0,
+        state: State::Idle,
+        begun: begun.clock.utc(),
+        forecast_s: plan.forecast.total_s(),
+        silence_s: SILENCE_S + SILENT_EXPOSURES * longest_s + longest_outage_s(&begun.checked.instrument.recovery),
+        heard_s: hub.clock.elapsed().as_secs_f64(),
+        end_asked: false,
+        verbs,
+    }
+}
+
+/// Takes the run's events to the hub until the run's bus is gone.
+async fn follow(hub: Arc<Hub>, run: String, mut events: broadcast::Receiver<Stamped>) {
+    loop {
+        match events.recv().await {
+            Ok(stamped) => hub.tell_run(&run, &stamped),
+            Err(broadcast::error::RecvError::Lagged(lost)) => {
+                hub.tell(Some(&run), super::hub::DaemonEvent::Lagged { lost });
+            }
+            Err(broadcast::error::RecvError::Closed) => return,
+        }
+    }
+}
+
+/// Writes how a run ended and decides whether the next may begin.
+fn close(hub: &Hub, entry: &Entry, run: &str, outcome: &Outcome, by_us: bool) {
+    let ending = words(outcome.ending);
+    let cut_short = by_us && matches!(outcome.ending, Ending::Stopped | Ending::Aborted);
+    if cut_short {
+        tracing::info!(run, "cut short by the daemon's end; the next start goes on");
+        return;
+    }
+    let s = &outcome.summary;
+    let ended = Ended {
+        ending: ending.clone(),
+        stored: s.stored,
+        missing: s.missing,
+        planned: s.planned,
+        safe: outcome.is_safe(),
+        message: outcome.message.clone(),
+    };
+    let products = if outcome.ending == Ending::Completed && s.stored > 0 { Products::Pending } else { Products::None };
+    change(hub, entry.id, |e| {
+        e.state = EntryState::Done { run: run.to_owned(), outcome: ended };
+        e.products = products;
+    });
+    hub.products.notify_one();
+    if let Some(why) = holds(run, &ending, outcome) {
+        hold(hub, why);
+    }
+}
+
+/// Why the next entry may not begin after this ending; a scan that failed by itself and left the bench safe is no
+/// reason.
+fn holds(run: &str, ending: &str, outcome: &Outcome) -> Option<String> {
+    let message = outcome.message.as_ref().map_or_else(String::new, |m| format!(" ({m})"));
+    match outcome.ending {
+        _ if !outcome.is_safe() => {
+            Some(format!("after {run} ({ending}) a device did not prove that it is safe: look at the bench"))
+        }
+        Ending::Completed | Ending::DeviceRefused | Ending::NotReady | Ending::DeviceLost => None,
+        Ending::SuspendedTooLong | Ending::Crashed => None,
+        Ending::Alarm => Some(format!("an interlock gave the alarm in {run}{message}")),
+        Ending::DiskFull | Ending::ArchiveFailed => Some(format!("the archive failed in {run}{message}")),
+        Ending::Stopped | Ending::Aborted | Ending::MadeSafe => Some(format!("the operator ended {run} ({ending})")),
+    }
+}
+
+/// The ending as JSON names it.
+pub fn words(ending: Ending) -> String {
+    serde_json::to_value(ending).ok().and_then(|v| v.as_str().map(str::to_owned)).unwrap_or_default()
+}
+
+fn hold(hub: &Hub, why: String) {
+    tracing::warn!(why, "the queue is held");
+    if let Err(e) = hub.hold(Some(format!("{why}; `goniod resume` lets the queue go on"))) {
+        tracing::error!("{e}");
+    }
+}
+
+fn failed(hub: &Hub, entry: &Entry, reason: String) {
+    let run = entry.run().map(str::to_owned);
+    tracing::error!(entry = entry.id, reason, "cannot be carried out");
+    change(hub, entry.id, |e| e.state = EntryState::Failed { run, reason });
+}
+
+fn failed_run(hub: &Hub, entry: &Entry, run: &str, reason: String) {
+    tracing::error!(run, reason, "broke off");
+    change(hub, entry.id, |e| e.state = EntryState::Failed { run: Some(run.to_owned()), reason });
+}
+
+/// Changes an entry on the disk and tells everybody. When the state folder cannot be written, nothing more is begun.
+pub(super) fn change(hub: &Hub, id: u32, change: impl FnOnce(&mut Entry)) {
+    match hub.queue(|queue| queue.set(id, change)) {
+        Ok(entry) => hub.tell_entry(&entry),
+        Err(e @ DaemonError::NoEntry(_)) => tracing::error!("{e}"),
+        Err(e) => {
+            if let Some(entry) = hub.queue(|queue| queue.get(id).cloned()) {
+                hub.tell_entry(&entry);
+            }
+            hold(hub, format!("the state folder cannot be written: {e}"));
+        }
+    }
+}
+
+/// Entries that a crash left as running although their run was over: writes their end. Gives the others a place at
+/// the head of the queue, or, where the instrument does not want that, tells them as failed. True where the bench may
+/// stand as a run left it and no run will take it up.
+fn settle(hub: &Hub) -> bool {
+    let mut left = false;
+    let running: Vec<Entry> =
+        hub.queue(|q| q.entries().filter(|e| matches!(e.state, EntryState::Running { .. })).cloned().collect());
+    for entry in running {
+        let EntryState::Running { run } = &entry.state else { continue };
+        let path = hub.facts.runs_dir.join(run);
+        match status_of(&path) {
+            None => change(hub, entry.id, |e| e.state = EntryState::Waiting),
+            Some(status) if status.planned == 0 && status.state != OPEN => {
+                let ended = Ended {
+                    ending: status.state,
+                    stored: status.stored,
+                    missing: status.missing,
+                    planned: 0,
+                    safe: status.safe,
+                    message: None,
+                };
+                change(hub, entry.id, |e| {
+                    e.state = EntryState::Done { run: run.clone(), outcome: ended };
+                    e.products = if status.stored > 0 { Products::Pending } else { Products::None };
+                });
+            }
+            Some(_) if hub.facts.auto_resume || matches!(entry.work, Work::Resume { .. }) => {
+                left |= hub.queue(|queue| queue.held().is_some());
+            }
+            Some(_) => {
+                left = true;
+                let reason =
+                    format!("the daemon ended in the middle of this run; `goniod resume {run}` goes on with it");
+                change(hub, entry.id, |e| e.state = EntryState::Failed { run: Some(run.clone()), reason });
+            }
+        }
+    }
+    left
+}

@@ -1,0 +1,77 @@
+//! The units of `systemd/`: what the service manager reads in them, and what the daemon tells it.
+
+use super::{Daemon, quick_lab};
+use crate::common::{root, text};
+use std::fs;
+use std::os::unix::net::UnixDatagram;
+use std::process::Command;
+use std::time::Duration;
+
+/// Value of a directive of a unit.
+fn directive(unit: &str, name: &str) -> String {
+    let text = fs::read_to_string(root().join("systemd").join(unit)).unwrap();
+    let found = text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix('='));
+    found.unwrap_or_else(|| panic!("{unit} has no {name}")).to_owned()
+}
+
+#[test]
+fn the_units_are_read_by_systemd_without_a_word() {
+    if Command::new("systemd-analyze").arg("--version").output().is_err() {
+        eprintln!("\n*** SKIPPED: no systemd-analyze here, so the units are not verified ***\n");
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let names = ["goniod.service", "goniod-safe.service", "goniod-run@.service"];
+    for name in names {
+        let unit = fs::read_to_string(root().join("systemd").join(name)).unwrap();
+        // The program is not installed where the units expect it.
+        let unit = unit.replace("/usr/bin/goniod", env!("CARGO_BIN_EXE_goniod"));
+        fs::write(folder.path().join(name), unit).unwrap();
+    }
+    for name in ["goniod.service", "goniod-safe.service", "goniod-run@blind.service"] {
+        let mut verify = Command::new("systemd-analyze");
+        verify.env("SYSTEMD_UNIT_PATH", format!("{}:", text(folder.path())));
+        let said = verify.args(["verify", "--man=no"]).arg(folder.path().join(name)).output().unwrap();
+        let err = String::from_utf8_lossy(&said.stderr);
+        let ours: Vec<&str> = err.lines().filter(|line| line.contains("goniod")).collect();
+        assert!(said.status.success() && ours.is_empty(), "{name}: {err}");
+    }
+}
+
+#[test]
+fn the_units_call_commands_that_there_are_and_wait_long_enough() {
+    let lab = quick_lab(false);
+    for unit in ["goniod.service", "goniod-safe.service"] {
+        let start = directive(unit, "ExecStart");
+        let mut words: Vec<&str> = start.split(' ').skip(1).collect();
+        words.push("--help");
+        assert_eq!(lab.goniod(&words).code, 0, "{start}");
+    }
+    assert_eq!(directive("goniod.service", "OnFailure"), "goniod-safe.service");
+    let stop: u64 = directive("goniod.service", "TimeoutStopSec").parse().unwrap();
+    assert!(stop > 120, "stopping well may take 120 s, then the bench is made safe");
+    assert!(directive("goniod.service", "WatchdogSec").parse::<u64>().unwrap() >= 30);
+}
+
+#[test]
+fn the_service_manager_is_told_ready_state_and_signs_of_life() {
+    let lab = quick_lab(false);
+    let path = lab.path("notify.sock");
+    let manager = UnixDatagram::bind(&path).unwrap();
+    manager.set_read_timeout(Some(Duration::from_secs(120))).unwrap();
+    let daemon = Daemon::start_with(&lab, &[("NOTIFY_SOCKET", &text(&path)), ("WATCHDOG_USEC", "600000")]);
+    let (mut heard, mut buffer) = (Vec::new(), [0; 4096]);
+    while heard.iter().filter(|line: &&String| line.contains("WATCHDOG=1")).count() < 3 {
+        let n = manager.recv(&mut buffer).unwrap();
+        heard.push(String::from_utf8_lossy(&buffer[..n]).into_owned());
+    }
+    assert!(heard[0].contains("READY=1"), "{heard:?}");
+    assert!(heard.iter().any(|line| line.contains("STATUS=idle")), "{heard:?}");
+    assert_eq!(daemon.end(), Some(0));
+    let mut last = Vec::new();
+    manager.set_read_timeout(Some(Duration::from_millis(50))).unwrap();
+    while let Ok(n) = manager.recv(&mut buffer) {
+        last.push(String::from_utf8_lossy(&buffer[..n]).into_owned());
+    }
+    assert!(last.iter().any(|line| line.contains("STOPPING=1")), "{last:?}");
+}
