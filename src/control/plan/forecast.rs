@@ -321,17 +321,18 @@ mod tests {
         assert!((f.shutter_s - (0.12 + 0.088 + 2.0 * 0.05)).abs() < 1e-9, "opened once, closed once: {f:?}");
         assert!((f.exposing_s - 1.002).abs() < 1e-9);
         // Two restarts of 0.1 s; the dark keeps its exposure and waits for a frame under way, at most an interval;
-        // read-outs, questions, and half a second look.
-        let waited = f.overhead_s - 2.0 * 0.1 - 3.0 * (0.06 + 0.038) - 0.5 * 0.0667;
+        // read-outs, questions to the bench and to three axes, and half a second look.
+        let asked_s = 0.038 + 3.0 * 0.009;
+        let waited = f.overhead_s - 2.0 * 0.1 - 3.0 * (0.06 + asked_s) - 0.5 * 0.0667;
         assert!((0.0..0.0667).contains(&waited), "{f:?}");
         assert_eq!(f.raw_bytes, 3 * 1392 * 1040);
         // The wheel is on its blank already at the end.
         assert!((f.start_s - (0.22 + 0.05 + 0.136 + 3.0 * 2.502 + 0.3)).abs() < 1e-9);
-        // Without restart the first frame comes at once. After it, 38 ms of the next frame of 1.06 s are over, and two
+        // Without restart the first frame comes at once. After it, 65 ms of the next frame of 1.06 s are over, and two
         // more go by; the dark waits as before or differs by its phase.
         i.camera.get_mut("ccd").unwrap().restart_s = None;
         let slow = forecast(&i, &views, &steps, &timing).unwrap();
-        let waited = slow.overhead_s - (3.0 * 1.06 - 0.038) - 3.0 * (0.06 + 0.038) - 0.5 * 0.0667;
+        let waited = slow.overhead_s - (3.0 * 1.06 - asked_s) - 3.0 * (0.06 + asked_s) - 0.5 * 0.0667;
         assert!((0.0..0.0667).contains(&waited), "{slow:?}");
         assert!(forecast(&i, &views, &[step(0, 9, 1)], &timing).is_err());
     }
