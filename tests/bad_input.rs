@@ -213,7 +213,6 @@ async fn hardware_that_is_not_there() {
         ("\"sim:holder\"", "\"/dev/no-such-holder\""),
         ("\"sim:filter-wheel\"", "\"/dev/no-such-wheel\""),
         ("\"sim:shutter\"", "\"/dev/no-such-shutter\""),
-        ("\"sim:light-monitor\"", "\"/dev/no-such-monitor\""),
         ("\"sim:monochromator\"", "\"/dev/no-such-monochromator\""),
         ("\"sim:ccd\"", "\"camera 1\""),
         ("\"sim:ingaas\"", "\"camera 2\""),
