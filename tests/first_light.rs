@@ -260,7 +260,9 @@ fn stopped_by(signals: &[&str]) {
     for (from, to) in [("speed_deg_per_s = 20.0", "speed_deg_per_s = 90.0"), ("per_s2 = 40.0", "per_s2 = 400.0")] {
         lab.edit("instrument.sim.toml", &[(from, to)], true);
     }
-    let (scan, instrument) = (text(&lab.scan("short.toml", SHORT)), text(&lab.instrument()));
+    // Long exposures, so that none ends between two signals.
+    let long = SHORT.replace("shortest_s = 0.02", "shortest_s = 0.5").replace("longest_s = 0.5", "longest_s = 2.0");
+    let (scan, instrument) = (text(&lab.scan("short.toml", &long)), text(&lab.instrument()));
     let args = ["run", &scan, "--instrument", &instrument, "--runs", "runs", "--no-products", "--json"];
     let child = lab.command(&args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let begun = Instant::now();
@@ -275,7 +277,7 @@ fn stopped_by(signals: &[&str]) {
     let pid = child.id().to_string();
     for signal in signals {
         assert!(Command::new("kill").args([signal, pid.as_str()]).status().unwrap().success());
-        std::thread::sleep(Duration::from_millis(50));
+        std::thread::sleep(Duration::from_millis(5));
     }
     let output = child.wait_with_output().unwrap();
     let (out, err) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
