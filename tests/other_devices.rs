@@ -22,7 +22,7 @@ ratio = 8.0
 shortest_s = 0.004
 longest_s = 0.5
 [products]
-formats = ["klems-xml"]
+formats = ["hdf5"]
 "#;
 
 /// A small lab whose wheel has nine places and no blank one.
@@ -60,5 +60,5 @@ fn newport_optec_and_uniblitz_give_what_zaber_and_thorlabs_give() {
     }
     let stored = |runs: &str| lab.goniod(&["status", "--runs", runs, "--json"]).json()["runs"][0]["stored"].clone();
     assert_eq!(stored("usual"), stored("other"));
-    assert!(other.join("products/bsdf.xml").is_file());
+    assert!(other.join("products/bsdf.h5").is_file());
 }
