@@ -254,9 +254,11 @@ fn a_sample_and_a_moment_that_do_not_exist() {
 fn runs_folders_that_cannot_be_written() {
     let lab = Lab::small();
     let scan = lab.scan("bad.toml", SCAN);
-    for folder in ["config/instrument.sim.toml/runs", "/proc/goniod-runs"] {
+    let under_a_file = ["cannot create the folder", "check the path and the rights"];
+    let without_room = ["the run needs", "0.0 MB are free"];
+    for (folder, words) in [("config/instrument.sim.toml/runs", under_a_file), ("/proc/goniod-runs", without_room)] {
         let said = command(&lab, "rehearse", &scan, &["--runs", folder]);
-        told(&said, STORAGE, &[folder, "cannot create the folder", "check the path and the rights"]);
+        told(&said, STORAGE, &[folder, words[0], words[1]]);
     }
 }
 
