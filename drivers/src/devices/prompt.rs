@@ -57,11 +57,15 @@ impl PromptWire {
         let connected = self.connector.connect().await;
         self.link = Some(connected.map_err(|e| self.error(e.kind, e.message))?);
         self.silences = 0;
-        self.synchronise().await
+        self.synchronise_until(SYNC_TRIES).await
     }
 
     /// Drains until quiet and sends the empty line until its exact answer comes, at most three times; two in silence are enough.
     pub(super) async fn synchronise(&mut self) -> Result<()> {
+        self.synchronise_until(MOST_SILENCES).await
+    }
+
+    async fn synchronise_until(&mut self, most_silences: u32) -> Result<()> {
         self.suspect = true;
         let (mut last, mut tries) = (String::from("nothing"), 0);
         for _ in 0..SYNC_TRIES {
@@ -77,7 +81,7 @@ impl PromptWire {
                 }
                 last = format!("{text:?}");
             }
-            if self.silences >= MOST_SILENCES {
+            if self.silences >= most_silences {
                 break;
             }
         }
