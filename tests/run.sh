@@ -1,37 +1,75 @@
 #!/usr/bin/env bash
 # Runs formatting, lints and every test of the workspace, then prints the sum over all test programs as its last line.
+# Test programs run two at a time: many of them wait for real time. Arguments go to each of them (`--nocapture`, a name).
 set -uo pipefail
 cd "$(dirname "$0")/.."
 
-log=$(mktemp)
-hil_log=$(mktemp)
-trap 'rm -f "$log" "$hil_log"' EXIT
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+
+# Name, working folder and path of each test program, from what cargo says it built; the long ones first.
+programs() {
+    python3 - "$1" <<'PY'
+import json, os, sys
+LONG = ["labels", "cuts", "night", "first_light", "daemon", "validate", "gige", "v4l2"]
+found = []
+for line in open(sys.argv[1]):
+    built = json.loads(line) if line.startswith("{") else {}
+    if built.get("executable") and built["profile"]["test"]:
+        package = os.path.dirname(built["manifest_path"])
+        name, kind = built["target"]["name"], built["target"]["kind"][0]
+        place = LONG.index(name) if kind == "test" and name in LONG else len(LONG)
+        where, _, which = built["package_id"].rpartition("#")
+        crate = which.split("@")[0] if "@" in which else os.path.basename(where)
+        found.append((place, f"{crate}-{kind}-{name}", package, built["executable"]))
+for _, name, package, path in sorted(found):
+    print(name, package, path, sep="\t")
+PY
+}
+
+# One program in its package's folder; its whole output at once when it has ended.
+run_one() {
+    IFS=$'\t' read -r name package path <<<"$1"
+    local log="$work/$name.log" began=$SECONDS
+    (cd "$package" && exec "$path" "${@:2}") >"$log" 2>&1
+    local code=$?
+    [ $code = 0 ] || echo "run.sh: $name ended with code $code" | tee -a "$work/failed" >>"$log"
+    { echo; echo "     Ran $name ($((SECONDS - began)) s)"; cat "$log"; }
+}
+export -f run_one
+export work
 
 cargo fmt --all -- --check \
     && cargo clippy --workspace --all-targets --all-features --quiet -- -D warnings \
     && cargo clippy -p goniod --no-default-features --quiet -- -D warnings \
     && cargo clippy -p goniod --quiet -- -D warnings
 lints=$?
-[ $lints = 0 ] || echo "run.sh: formatting, lints or a combination of features failed"
 
-cargo test --workspace --all-features --no-fail-fast -- "$@" 2>&1 | tee "$log"
-tests=${PIPESTATUS[0]}
+cargo test --workspace --all-features --no-run --message-format=json-render-diagnostics >"$work/built.json"
+built=$?
+programs "$work/built.json" >"$work/programs"
+xargs -d '\n' -P 2 -I{} bash -c 'run_one "$@"' run_one {} "$@" <"$work/programs"
+cargo test --workspace --all-features --doc --quiet >"$work/doc.log" 2>&1 || { cat "$work/doc.log"; echo "run.sh: doc tests failed" >>"$work/failed"; }
 
 # The virtual bench, unless single tests were asked for or it is left out.
 hil=0
+touch "$work/hil.log"
 if [ $# = 0 ] && [ "${GONIOD_HIL:-}" != skip ]; then
-    bash tests/hil/run 2>&1 | tee "$hil_log"
+    bash tests/hil/run 2>&1 | tee "$work/hil.log"
     hil=${PIPESTATUS[0]}
 fi
 
 # What went wrong once more, where a reader of the last lines finds it.
-{
-    [ $lints = 0 ] || echo "run.sh: formatting, lints or a combination of features failed, see the beginning"
-    [ "$tests" = 0 ] || grep -hE "^error|^  process didn't exit|^test .* FAILED$|^    .*(--test|--lib|--bin|--doc)|panicked at" "$log" | tail -n 60
-    [ "$hil" = 0 ] || echo "run.sh: the virtual bench failed"
-}
-# A test program that ended without a result, and lints, count as a failure each.
-awk -v lints="$lints" '/^ +(Running|Doc-tests) / { begun++ } /^test result:/ { ended++; p += $4; f += $6; s += $8 }
+[ $lints = 0 ] || echo "run.sh: formatting, lints or a combination of features failed, see the beginning"
+[ $built = 0 ] || echo "run.sh: the tests could not be built, see the beginning"
+[ $hil = 0 ] || echo "run.sh: the virtual bench failed"
+grep -hE "^test .* FAILED$|panicked at|^run.sh: " "$work"/*.log | tail -n 60
+[ -s "$work/failed" ] && cat "$work/failed"
+
+# Lints, a build that failed and a program that ended without a result count as a failure each.
+count=$(wc -l <"$work/programs")
+awk -v other=$(((lints != 0) + (built != 0))) -v begun="$count" '
+    /^test result:/ { ended++; p += $4; f += $6; s += $8 }
     /^[0-9]+ passed, [0-9]+ failed, [0-9]+ skipped$/ { p += $1; f += $3; s += $5 }
-    END { printf "%d passed, %d failed, %d skipped\n", p, f + begun - ended + (lints != 0), s }' "$log" "$hil_log"
-[ "$tests" = 0 ] && [ "$lints" = 0 ] && [ "$hil" = 0 ]
+    END { printf "%d passed, %d failed, %d skipped\n", p, f + other + (begun > ended ? begun - ended : 0), s }' "$work"/*-*.log "$work/hil.log"
+[ $lints = 0 ] && [ $built = 0 ] && [ $hil = 0 ] && [ ! -e "$work/failed" ]

@@ -6,7 +6,6 @@ use crate::bench::Bench;
 use crate::oracle::{OracleError, read_pixels};
 use crate::pose::PoseSource;
 use crate::truth::config::BenchFile;
-use crate::truth::test_bench::path;
 use goniod_drivers::clock::{Clock, UtcMicros};
 use goniod_drivers::units::ExposureTime;
 
@@ -21,6 +20,11 @@ impl PoseSource for Poses {
         let spin_deg = 30.0 + moved.as_secs_f64();
         Pose { tilt_deg: 150.0, spin_deg, changer_deg: 0.0, slot: Some(9), shutter_open: true }
     }
+}
+
+/// A file of the shipped bench.
+fn path(name: &str) -> std::path::PathBuf {
+    std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/sim").join(name)
 }
 
 fn bench(seed: u64) -> Bench {

@@ -19,6 +19,8 @@ pub mod paint;
 pub mod pose;
 pub mod scene;
 pub mod stream;
-pub mod truth;
 pub mod twins;
 pub mod uvc;
+
+/// The optics of the bench, its samples and the true answers, a crate of its own in `sim/src/truth/`.
+pub use goniod_truth as truth;

@@ -220,7 +220,7 @@ fn read_block(
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
-    use crate::truth::vector::V3;
+    use crate::vector::V3;
 
     /// An XML with one ring of 1 and one of 4 patches, or a tree, in one block.
     fn table(structure: &str, direction: &str, data: &str) -> Result<ScatterTable> {

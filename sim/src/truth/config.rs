@@ -383,7 +383,7 @@ fn within(path: &Path, key: &str, value: f64, low: f64, high: f64) -> Result<()>
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
-    use crate::truth::test_bench;
+    use crate::test_bench;
 
     fn read(change: impl Fn(String) -> String) -> Result<BenchFile> {
         let folder = tempfile::tempdir().unwrap();

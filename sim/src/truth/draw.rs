@@ -111,7 +111,7 @@ impl LampDraw {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
-    use crate::truth::test_bench;
+    use crate::test_bench;
 
     #[test]
     fn the_lamp_starts_at_one_and_drifts_slowly_and_steadily() {

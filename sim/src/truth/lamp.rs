@@ -174,7 +174,7 @@ impl SimLamp {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
-    use crate::truth::test_bench;
+    use crate::test_bench;
 
     fn lamp(cold: bool) -> (SimLamp, Instant) {
         let mut file = test_bench::file(true).lamp;

@@ -9,6 +9,7 @@
 //! - [`law`], [`klems`], [`tree`], [`block`]: angular laws of samples; [`sample`]: their files
 //! - [`response`], [`rng`]: exposure to level, noise
 //! - [`blur`]: the lens's point spread
+//! - [`pose`]: where everything that moves stands
 //! - [`raster`]: what a camera's pixels see, cached; [`photo`]: photographs
 //! - [`expect`]: the true answers, without any pixel
 
@@ -23,6 +24,7 @@ pub mod lamp;
 pub mod law;
 pub mod mirror;
 pub mod photo;
+pub mod pose;
 pub mod raster;
 pub mod response;
 pub mod rng;

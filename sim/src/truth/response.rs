@@ -120,7 +120,7 @@ impl Sensor {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
-    use crate::truth::test_bench;
+    use crate::test_bench;
 
     #[test]
     fn the_table_reproduces_the_curve() {

@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 /// A file below config/sim.
 pub fn path(name: &str) -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../config/sim").join(name)
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../config/sim").join(name)
 }
 
 /// The shipped bench, with or without randomness.
