@@ -221,8 +221,8 @@ async fn visa_programs_drive_the_power_meter() {
             r#""resources": ["USB0::4883::32888::P0001234::0::INSTR"], "idn": "THORLABS,PM100D,P0001234,2.4.0""#,
             r#""parts": 41, "#,
             r#""-113,\"Undefined header\"""#,
-            r#""late": "VI_ERROR_TMO", "again": "THORLABS,PM100D,P0001234,2.4.0""#,
-            r#""thorlabs": [550.0, "#,
+            r#""late": "VI_ERROR_TMO", "again": [true, "THORLABS,PM100D,P0001234,2.4.0"]"#,
+            r#""thorlabs": [550.0, 25.4, 1, "S120VC", "POW"], "read": 0.001000"#,
             r#""pymeasure": ["S120VC", 600.0, 1100.0, "#,
         ],
     );
@@ -246,7 +246,7 @@ async fn seabreeze_drives_the_spectrometers() {
         &[
             r#""USB2000": {"serial": "USB2G1234", "pixels": 2048, "from": 345.679, "brightest": 546"#,
             r#""USB2000PLUS": {"serial": "USB2+H00001", "pixels": 2048, "from": 345.679, "brightest": 546"#,
-            r#""USB4000": {"serial": "USB4C00002", "pixels": 3648, "from": 346"#,
+            r#""USB4000": {"serial": "USB4C00002", "pixels": 3840, "from": 345.679, "brightest": 546"#,
         ],
     );
 }

@@ -1,6 +1,7 @@
 """Drives a PM100 behind the USB/IP server argv[1] with PyVISA-py alone, ThorlabsPM100 and PyMeasure; prints JSON."""
 import json
 import sys
+import warnings
 
 import usbip_bus
 
@@ -10,6 +11,8 @@ import pyvisa
 from pymeasure.instruments.thorlabs import ThorlabsPM100USB
 from ThorlabsPM100 import ThorlabsPM100
 
+# PyVISA-py would also look for instruments on the network.
+warnings.simplefilter("ignore")
 manager = pyvisa.ResourceManager("@py")
 found = {"resources": [name for name in manager.list_resources() if name.startswith("USB")]}
 name = found["resources"][0]
@@ -17,16 +20,15 @@ with manager.open_resource(name, read_termination="\n", timeout=5000) as link:
     found["idn"] = link.query("*IDN?")
     found["parts"] = link.query("*IDN?;" * 40 + "*IDN?").count("PM100")
     link.write("NONSENSE")
-    found["status"] = [link.read_stb(), link.query("SYST:ERR?"), link.query("*ESR?")]
-    link.write("SENS:AVER 3000")
+    found["status"] = [link.query("*STB?"), link.query("SYST:ERR?"), link.query("*ESR?")]
+    link.write("SENS:AVER 300")
     link.timeout = 300
     try:
         link.query("READ?")
     except pyvisa.VisaIOError as error:
         found["late"] = error.abbreviation
-    link.clear()
     link.timeout = 5000
-    found["again"] = link.query("*IDN?")
+    found["again"] = [float(link.read()) > 0, link.query("*IDN?")]
     link.write("*RST")
     meter = ThorlabsPM100(inst=link)
     meter.sense.correction.wavelength = 550

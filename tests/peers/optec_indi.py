@@ -1,6 +1,7 @@
 """Lets INDI's Optec driver turn the wheel at the port argv[1]: speaks INDI's XML to the driver's own program; prints JSON."""
 import json
 import os
+import re
 import select
 import subprocess
 import sys
@@ -9,7 +10,7 @@ from xml.etree.ElementTree import XMLPullParser
 
 DEVICE = "Optec IFW"
 driver = subprocess.Popen(["indi_optec_wheel"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                          stderr=subprocess.DEVNULL, bufsize=0)
+                          stderr=None, bufsize=0)
 parser, messages, values = XMLPullParser(["end"]), [], {}
 parser.feed("<stream>")
 
@@ -25,7 +26,10 @@ def wait(what, limit):
     while not what():
         if not select.select([driver.stdout], [], [], max(0, end - time.monotonic()))[0]:
             raise SystemExit(f"nothing after {limit} s; values {values}; messages {messages}")
-        parser.feed(os.read(driver.stdout.fileno(), 65536).decode())
+        data = os.read(driver.stdout.fileno(), 65536).decode()
+        if not data:
+            raise SystemExit(f"the driver ended; values {values}; messages {messages}")
+        parser.feed(re.sub(r"<\?xml.*?\?>", "", data))
         for _, element in parser.read_events():
             if element.get("message"):
                 messages.append(element.get("message"))

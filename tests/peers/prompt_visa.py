@@ -9,15 +9,20 @@ found = {}
 
 
 def session(path, baud):
-    return manager.open_resource(f"ASRL{path}::INSTR", baud_rate=baud, write_termination="\r", read_termination="> ",
+    return manager.open_resource(f"ASRL{path}::INSTR", baud_rate=baud, write_termination="\r", read_termination=">",
                                  timeout=20_000)
 
 
+def ask(link, text):
+    """The answer up to the prompt; the blank behind the prompt begins the next one."""
+    return link.query(text).strip(" ")
+
+
 with session(sys.argv[1], 115_200) as wheel:
-    found["wheel"] = [wheel.query(q) for q in ("*idn?", "pcount?", "speed=1", "pos=4", "pos?", "pos=13", "Pos?")]
+    found["wheel"] = [ask(wheel, q) for q in ("*idn?", "pcount?", "speed=1", "pos=4", "pos?", "pos=13", "Pos?")]
 with session(sys.argv[2], 9600) as shutter:
-    found["shutter"] = [shutter.query(q) for q in ("id?", "mode=3", "open=250", "ens", "ens?", "closed?")]
-    while shutter.query("ens?") == "ens?\r1\r":
+    found["shutter"] = [ask(shutter, q) for q in ("id?", "mode=3", "open=250", "ens", "ens?", "closed?")]
+    while ask(shutter, "ens?") == "ens?\r1\r":
         pass
-    found["single"] = shutter.query("closed?")
+    found["single"] = ask(shutter, "closed?")
 print(json.dumps(found))

@@ -11,6 +11,16 @@ import seabreeze
 seabreeze.use("pyseabreeze")
 from seabreeze.spectrometers import Spectrometer, list_devices
 
+
+
+def linear(spectrometer):
+    """Pixels after the correction by the unit's own polynomial, where the library has that for the model."""
+    try:
+        return len(spectrometer.intensities(correct_nonlinearity=True))
+    except seabreeze.spectrometers.SeaBreezeError as error:
+        return str(error)
+
+
 found = {}
 for device in list_devices():
     spectrometer = Spectrometer(device)
@@ -27,7 +37,7 @@ for device in list_devices():
         "counts": float(counts[brightest]),
         "most": float(spectrometer.max_intensity),
         "slot": device.f.eeprom.eeprom_read_slot(15),
-        "linear": len(spectrometer.intensities(correct_nonlinearity=True)),
+        "linear": linear(spectrometer),
         "limits": spectrometer.integration_time_micros_limits,
     }
     spectrometer.close()

@@ -37,8 +37,8 @@ ENDPOINT = ("<BBBBHB", "bLength bDescriptorType bEndpointAddress bmAttributes wM
 
 def parse(shape, raw):
     layout, names = shape
-    return SimpleNamespace(zip(names.split(), struct.unpack_from(layout, raw)), extra_descriptors=[], bRefresh=0,
-                           bSynchAddress=0)
+    fields = dict(zip(names.split(), struct.unpack_from(layout, raw)))
+    return SimpleNamespace(**fields, extra_descriptors=[], bRefresh=0, bSynchAddress=0)
 
 
 def fail(code):

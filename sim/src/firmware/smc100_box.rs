@@ -27,6 +27,8 @@ const SETTINGS: [(&str, f64, f64, f64); 25] = [
     ("VB", 0.0, 0.0, 40.0),
 ];
 
+/// Mnemonics of three letters; all others have two.
+const LONG_NAMES: [&str; 5] = ["FRM", "FRS", "QIL", "QIR", "QIT"];
 /// Switches that are kept and told in every state: mnemonic, value at power-up, largest. Outputs, closed loop, jog by the
 /// keypad, keypad.
 const SWITCHES: [(&str, f64, f64); 4] = [("SB", 0.0, 15.0), ("SC", 1.0, 1.0), ("JM", 1.0, 1.0), ("TK", 1.0, 1.0)];
@@ -179,8 +181,8 @@ impl SmcBox {
     }
 
     fn act(&mut self, words: &str, now: Instant) -> Result<Vec<String>, char> {
-        let letters = words.bytes().take_while(u8::is_ascii_uppercase).count();
-        let (name, value) = words.split_at(letters);
+        let letters = if LONG_NAMES.iter().any(|name| words.starts_with(name)) { 3 } else { 2 };
+        let (name, value) = words.split_at_checked(letters).unwrap_or((words, ""));
         let value = value.trim();
         let one = |text: String| Ok(vec![text]);
         match name {

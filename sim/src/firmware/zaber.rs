@@ -78,6 +78,8 @@ pub struct ZaberChainTwin {
     again: u8,
     restart_on_command: bool,
     replies: u64,
+    /// When the last reply leaves; the chain answers a broadcast in its order.
+    last_reply: Instant,
 }
 
 // === impl ZaberStage ===
@@ -118,6 +120,7 @@ impl ZaberChainTwin {
             again: 0,
             restart_on_command: false,
             replies: 0,
+            last_reply: now,
         }
     }
 
@@ -204,7 +207,8 @@ impl ZaberChainTwin {
             stage.answer(request, now)
         };
         self.replies += 1;
-        let at = now + Duration::from_millis(2 + self.replies % 3);
+        let at = (now + Duration::from_millis(2 + self.replies % 3)).max(self.last_reply);
+        self.last_reply = at;
         stage.plan_alert();
         let shape = self.shapes.pop_front();
         let lines = stage.reply(device, request, accepted, &data, shape, now);
