@@ -28,6 +28,9 @@ async fn main() -> ExitCode {
     }
     let mut spec = TwinsSpec::with_serials("50001", "50002", "50003");
     spec.wheel.queues_input = true;
+    if driver == "optec-ifw" {
+        spec.wheel.places = 8;
+    }
     let clock = Clock::system();
     let twins = match spec.with_drivers(drivers) {
         Ok(spec) => Twins::new(spec),

@@ -10,7 +10,7 @@ from xml.etree.ElementTree import XMLPullParser
 
 DEVICE = "Optec IFW"
 driver = subprocess.Popen(["indi_optec_wheel"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                          stderr=None, bufsize=0)
+                          stderr=subprocess.DEVNULL, bufsize=0)
 parser, messages, values = XMLPullParser(["end"]), [], {}
 parser.feed("<stream>")
 
