@@ -119,7 +119,8 @@ async fn the_vendors_library_drives_the_zaber_chain() {
         r#""addresses": [1, 2, 3], "homed before": false, "homed": true"#,
         r#""position": 12800.0, "relative": 12000.0, "busy": true"#,
         r#""maxspeed": 153600.0, "set": 150000.0"#,
-        r#""serial": "1001", "parked": true"#,
+        r#""serial": "1001", "parked": true, "slower": 6400.0, "note": [113, false], "off": ["FO"]"#,
+        r#""renumbered": [[1, 2, 9], 3]"#,
     ] {
         assert!(found.contains(part), "{part}: {found}");
     }

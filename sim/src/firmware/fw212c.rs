@@ -244,7 +244,8 @@ impl Fw212cTwin {
         if std::mem::take(&mut self.prompt_early) {
             self.port.done(now);
         } else {
-            self.deaf_until = Some(arrival);
+            // What was queued is taken up after the prompt.
+            self.deaf_until = Some(arrival + ANSWER);
             self.port.done(arrival);
         }
     }

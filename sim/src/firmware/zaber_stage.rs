@@ -265,7 +265,7 @@ impl Stage {
         }
     }
 
-    /// `storage [axis] set|append|get|erase key [text]`.
+    /// `storage [axis] set|append|get|exists|erase key [text]`.
     fn store_text(&mut self, axis: u8, words: &[&str]) -> Answer {
         let (scope, words) = match words {
             ["axis", rest @ ..] => (1, rest),
@@ -282,6 +282,7 @@ impl Stage {
                 Some(kept) => *kept = format!("{kept} {}", text.join(" ")),
                 None => return no("BADDATA"),
             },
+            ("exists", []) => return ok(if self.storage.contains_key(&key) { "1" } else { "0" }),
             ("get", []) => return self.storage.get(&key).map_or(no("BADDATA"), |text| ok(text)),
             ("erase", []) if self.storage.remove(&key).is_none() => return no("BADDATA"),
             ("erase", []) => {}
@@ -296,7 +297,8 @@ impl Stage {
         let flag = |on: bool| u8::from(on).to_string();
         Some(match name {
             "device.id" if major >= 7 => self.spec.device_id.to_string(),
-            "deviceid" if major < 7 => self.spec.device_id.to_string(),
+            // Firmware 7 still knows the older name: the vendor's library asks by it.
+            "deviceid" => self.spec.device_id.to_string(),
             "version" => self.spec.version.clone(),
             "system.serial" => self.spec.serial.clone(),
             "system.axiscount" => "1".into(),
