@@ -41,13 +41,13 @@ pub use newport_smc100::{Smc100, Smc100Axis};
 pub use oceanoptics::OceanOptics;
 pub use optec_ifw::OptecIfw;
 pub use spectral_cm110::Cm110;
-pub use thorlabs_fw212c::{Fw212c, WheelConfig};
+pub use thorlabs_fw212c::Fw212c;
 pub use thorlabs_pm100::Pm100;
 pub use thorlabs_sc10::{Sc10, ShutterConfig};
 pub use zaber_ascii::ZaberAxis;
 pub use zaber_chain::ZaberChain;
 
-use crate::units::{Degrees, DegreesPerSecond, Nanometres};
+use crate::units::{Degrees, DegreesPerSecond, Nanometres, Slot};
 use std::time::Duration;
 
 /// One rotation axis as the instrument file says it. All angles are angles of the axis itself: the mechanical zero of
@@ -90,6 +90,58 @@ impl AxisConfig {
             distance.0 / v + v / a
         };
         Duration::try_from_secs_f64(seconds).unwrap_or(Duration::from_secs(3))
+    }
+
+    /// Why `target` may not be commanded by the instrument file; `None` where it may.
+    pub(crate) fn beyond(&self, target: Degrees) -> Option<String> {
+        let (min, max) = (self.min, self.max);
+        let within = target.0 >= min.0 && target.0 <= max.0;
+        (!within).then(|| {
+            format!("{target} is outside the soft limits {min} to {max} of the instrument file; nothing was sent")
+        })
+    }
+
+    /// What is wrong with where the axis came to stand; `None` within the tolerance.
+    pub(crate) fn missed(&self, target: Degrees, reached: Degrees) -> Option<String> {
+        let within = reached.distance(target).0 <= self.tolerance.0;
+        (!within).then(|| {
+            let tolerance = self.tolerance;
+            format!(
+                "stands at {reached} instead of {target} (tolerance {tolerance}); check that nothing blocks the stage"
+            )
+        })
+    }
+}
+
+/// What the instrument file says about a filter wheel.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WheelConfig {
+    /// Name in the instrument file.
+    pub name: String,
+    /// Places that the wheel must report.
+    pub places: u8,
+    /// The blank place, where there is one: the wheel's safe state.
+    pub dark: Option<Slot>,
+    /// Wait after arrival.
+    pub settle: Duration,
+}
+
+// === impl WheelConfig ===
+
+impl WheelConfig {
+    /// Why `slot` cannot be selected; `None` where the wheel has it.
+    pub(crate) fn beyond(&self, slot: Slot) -> Option<String> {
+        let within = (1..=self.places).contains(&slot.0);
+        (!within).then(|| format!("{slot} does not exist, the wheel has slots 1 to {}; nothing was sent", self.places))
+    }
+
+    /// What there is to say of a wheel that was last commanded to one place and stands at another.
+    pub(crate) fn astray(commanded: Option<u8>, stands: Option<u8>) -> Option<String> {
+        match (commanded, stands) {
+            (Some(was), Some(is)) if was != is => Some(format!("moved by hand from slot {was} to slot {is}")),
+            (_, None) => Some("the wheel tells no place".to_owned()),
+            _ => None,
+        }
     }
 }
 

@@ -215,10 +215,7 @@ impl Esp301Axis {
 
     /// Why the target may not be commanded.
     fn check_target(&self, target: Degrees) -> Result<()> {
-        let (min, max) = self.limits();
-        if !(target.0 >= min.0 && target.0 <= max.0) {
-            let what =
-                format!("{target} is outside the soft limits {min} to {max} of the instrument file; nothing was sent");
+        if let Some(what) = self.config.beyond(target) {
             return Err(self.error(ErrorKind::Refused, what));
         }
         let device = self.opened()?;
@@ -342,6 +339,7 @@ impl RotaryAxis for Esp301Axis {
         self.check_target(target)?;
         self.check_motor().await?;
         let mut reached = Degrees(self.number(Query::Position).await?);
+        let mut wrong = None;
         self.stands = None;
         for _ in 0..MOVE_TRIES {
             let told = self.order(Order::MoveAbs(target.0)).await?;
@@ -353,16 +351,13 @@ impl RotaryAxis for Esp301Axis {
             self.check_motor().await?;
             self.shared.clock.sleep(self.config.settle).await;
             reached = Degrees(self.number(Query::Position).await?);
-            if reached.distance(target).0 <= self.config.tolerance.0 {
+            wrong = self.config.missed(target, reached);
+            if wrong.is_none() {
                 self.stands = Some(reached.0);
                 return Ok(reached);
             }
         }
-        let what = format!(
-            "stands at {reached} instead of {target} (tolerance {}); check that nothing blocks the stage",
-            self.config.tolerance
-        );
-        Err(self.error(ErrorKind::Broken, what))
+        Err(self.error(ErrorKind::Broken, wrong.unwrap_or_default()))
     }
 
     async fn position(&mut self) -> Result<Option<Degrees>> {

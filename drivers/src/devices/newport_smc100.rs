@@ -222,10 +222,7 @@ impl Smc100Axis {
     }
 
     fn check_target(&self, target: Degrees) -> Result<()> {
-        let (min, max) = self.limits();
-        if !(target.0 >= min.0 && target.0 <= max.0) {
-            let what =
-                format!("{target} is outside the soft limits {min} to {max} of the instrument file; nothing was sent");
+        if let Some(what) = self.config.beyond(target) {
             return Err(self.error(ErrorKind::Refused, what));
         }
         let (left, right) = self.opened()?;
@@ -350,21 +347,19 @@ impl RotaryAxis for Smc100Axis {
         self.check_target(target)?;
         self.require_ready().await?;
         let mut reached = Degrees(self.number(Query::Position).await?);
+        let mut wrong = None;
         for _ in 0..MOVE_TRIES {
             self.order(Order::MoveAbs(target.0), &format!("the move to {target} was refused")).await?;
             self.wait_still(self.config.travel(reached.distance(target)) + MOVE_MARGIN).await?;
             self.require_ready().await?;
             self.clock.sleep(self.config.settle).await;
             reached = Degrees(self.number(Query::Position).await?);
-            if reached.distance(target).0 <= self.config.tolerance.0 {
+            wrong = self.config.missed(target, reached);
+            if wrong.is_none() {
                 return Ok(reached);
             }
         }
-        let what = format!(
-            "stands at {reached} instead of {target} (tolerance {}); check that nothing blocks the stage",
-            self.config.tolerance
-        );
-        Err(self.error(ErrorKind::Broken, what))
+        Err(self.error(ErrorKind::Broken, wrong.unwrap_or_default()))
     }
 
     async fn position(&mut self) -> Result<Option<Degrees>> {

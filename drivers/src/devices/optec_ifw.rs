@@ -4,8 +4,8 @@
 //! the letter of the wheel in it stands for one, and another letter after a reconnection is another wheel. `WLOAD`, which
 //! writes names into the flash, cannot be spelt.
 
+use super::WheelConfig;
 use super::line_wire::{Dialect, LineWire, NoOp};
-use super::thorlabs_fw212c::WheelConfig;
 use crate::clock::Clock;
 use crate::contract::{Device, FilterWheel, Health, Identity};
 use crate::error::{DeviceError, ErrorKind, Result};
@@ -292,12 +292,8 @@ impl Device for OptecIfw {
 
     async fn health(&mut self) -> Result<Health> {
         self.check_open()?;
-        let mut warnings = Vec::new();
-        match (self.commanded, self.read_place().await?) {
-            (Some(was), Some(is)) if was != is => warnings.push(format!("moved by hand from slot {was} to slot {is}")),
-            (_, None) => warnings.push("the wheel tells no place".to_owned()),
-            _ => {}
-        }
+        let mut warnings: Vec<String> =
+            WheelConfig::astray(self.commanded, self.read_place().await?).into_iter().collect();
         if self.restarts > 0 {
             warnings.push(format!("restarted {} times and homed again", self.restarts));
         }
@@ -326,9 +322,7 @@ impl FilterWheel for OptecIfw {
     }
 
     async fn select(&mut self, slot: Slot) -> Result<Slot> {
-        if !(1..=self.config.places.min(9)).contains(&slot.0) {
-            let what =
-                format!("{slot} does not exist, the wheel has slots 1 to {}; nothing was sent", self.config.places);
+        if let Some(what) = self.config.beyond(slot) {
             return Err(self.error(ErrorKind::Refused, what));
         }
         self.check_open()?;

@@ -4,6 +4,7 @@
 //! The shutter is closed by the sequencer before a turn; the wheel's own sensors are switched off when idle, since
 //! their light is stray light.
 
+use super::WheelConfig;
 use super::prompt::PromptWire;
 use crate::clock::Clock;
 use crate::contract::{Device, FilterWheel, Health, Identity};
@@ -25,19 +26,6 @@ const LAST_PLACE: Duration = Duration::from_secs(2);
 const ARRIVAL_POLL: Duration = Duration::from_millis(200);
 /// Times that a place is commanded before it is a fault.
 const MOVE_TRIES: u32 = 2;
-
-/// What the instrument file says about the wheel.
-#[derive(Debug, Clone, PartialEq)]
-pub struct WheelConfig {
-    /// Name in the instrument file.
-    pub name: String,
-    /// Places that the wheel must report.
-    pub places: u8,
-    /// The blank place, where there is one: the wheel's safe state.
-    pub dark: Option<Slot>,
-    /// Wait after arrival.
-    pub settle: Duration,
-}
 
 /// A filter wheel on its link.
 pub struct Fw212c {
@@ -153,12 +141,7 @@ impl Device for Fw212c {
 
     async fn health(&mut self) -> Result<Health> {
         self.check_open()?;
-        let mut warnings = Vec::new();
-        match (self.commanded, self.look().await?) {
-            (Some(was), Some(is)) if was != is => warnings.push(format!("moved by hand from slot {was} to slot {is}")),
-            (_, None) => warnings.push("the wheel tells no place".to_owned()),
-            _ => {}
-        }
+        let mut warnings: Vec<String> = WheelConfig::astray(self.commanded, self.look().await?).into_iter().collect();
         if self.wire.number("sensors?").await? != 0 {
             warnings.push("restarted: the position sensors shine again; open the wheel again".to_owned());
         }
@@ -185,9 +168,7 @@ impl FilterWheel for Fw212c {
     }
 
     async fn select(&mut self, slot: Slot) -> Result<Slot> {
-        if !(1..=self.config.places).contains(&slot.0) {
-            let what =
-                format!("{slot} does not exist, the wheel has slots 1 to {}; nothing was sent", self.config.places);
+        if let Some(what) = self.config.beyond(slot) {
             return Err(self.wire.error(ErrorKind::Refused, what));
         }
         self.check_open()?;

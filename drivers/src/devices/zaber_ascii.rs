@@ -269,10 +269,7 @@ impl ZaberAxis {
 
     /// The target in microsteps, or why it may not be commanded.
     fn check_target(&self, target: Degrees) -> Result<i64> {
-        let (min, max) = self.limits();
-        if !(target.0 >= min.0 && target.0 <= max.0) {
-            let what =
-                format!("{target} is outside the soft limits {min} to {max} of the instrument file; nothing was sent");
+        if let Some(what) = self.config.beyond(target) {
             return Err(self.error(ErrorKind::Refused, what));
         }
         let scale = self.scale()?;
@@ -416,14 +413,9 @@ impl RotaryAxis for ZaberAxis {
         if let Some(bad) = after.iter().find(|w| w.fails_move()) {
             return Err(self.error(ErrorKind::Broken, format!("the move to {target} failed: {}", bad.words())));
         }
-        if reached.distance(target).0 <= self.config.tolerance.0 {
-            Ok(reached)
-        } else {
-            let what = format!(
-                "stands at {reached} instead of {target} (tolerance {}); check that nothing blocks the stage",
-                self.config.tolerance
-            );
-            Err(self.error(ErrorKind::Broken, what))
+        match self.config.missed(target, reached) {
+            None => Ok(reached),
+            Some(what) => Err(self.error(ErrorKind::Broken, what)),
         }
     }
 
