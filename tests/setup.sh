@@ -5,7 +5,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-packages=(build-essential pkg-config libhdf5-dev python3 python3-venv libclang-dev linux-libc-dev libaravis-dev libusb-1.0-0-dev aravis-tools-cli)
+packages=(build-essential pkg-config libhdf5-dev python3 python3-venv libclang-dev linux-libc-dev libaravis-dev libusb-1.0-0-dev aravis-tools-cli indi-bin)
 
 as_root() { if [ "$(id -u)" = 0 ]; then "$@"; else sudo "$@"; fi; }
 

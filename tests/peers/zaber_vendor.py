@@ -34,4 +34,15 @@ with Connection.open_serial_port(sys.argv[1]) as connection:
     axis.park()
     found["parked"] = axis.is_parked()
     axis.unpark()
+    axis.move_absolute(6400, Units.NATIVE, velocity=60000, velocity_unit=Units.NATIVE, acceleration=300,
+                       acceleration_unit=Units.NATIVE)
+    found["slower"] = axis.get_position(Units.NATIVE)
+    axis.storage.set_string("note", "a text that is longer than one line of eighty characters " * 2)
+    found["note"] = [len(axis.storage.get_string("note")), axis.storage.key_exists("none")]
+    axis.driver_disable()
+    found["off"] = sorted(axis.warnings.get_flags())
+    axis.driver_enable()
+    devices[2].renumber(9)
+    found["renumbered"] = [[d.device_address for d in connection.detect_devices(identify_devices=False)],
+                           connection.renumber_devices(1)]
     print(json.dumps(found))

@@ -5,6 +5,7 @@
 
 use super::Firmware;
 use super::esp301_axis::EspAxis;
+use super::esp301_programs::{Done, MOST_STEPS, Programs};
 use super::esp301_settings::{defaults, error_text, number, setting};
 use super::outbox::{Outbox, WireFault};
 use std::collections::VecDeque;
@@ -21,9 +22,6 @@ const MAX_LINE: usize = 80;
 const MAX_WAITING: usize = 256;
 /// Servo tick of the time stamps.
 const TICK: Duration = Duration::from_micros(400);
-/// Commands about stored programs and the flash; a program store with nothing in it.
-const PROGRAM_WORDS: [(&str, u16); 8] =
-    [("EP", 27), ("QP", 26), ("EX", 35), ("XX", 35), ("LP", 35), ("EO", 35), ("DL", 27), ("JL", 27)];
 
 /// What one stage is.
 #[derive(Debug, Clone, PartialEq)]
@@ -82,6 +80,9 @@ pub struct Esp301Twin {
     outbox: Outbox,
     line: Vec<u8>,
     waiting: VecDeque<String>,
+    programs: Programs,
+    /// Address on the instrument bus.
+    bus_address: u8,
     blocked_until: Option<Instant>,
     errors: VecDeque<(u16, Instant)>,
     boot: Instant,
@@ -114,6 +115,8 @@ impl Esp301Twin {
             outbox: Outbox::default(),
             line: Vec::new(),
             waiting: VecDeque::new(),
+            programs: Programs::default(),
+            bus_address: 1,
             blocked_until: None,
             errors: VecDeque::new(),
             boot: now,
@@ -189,6 +192,7 @@ impl Esp301Twin {
         self.outbox.clear();
         self.line.clear();
         self.waiting.clear();
+        self.programs.power_cycle();
         self.blocked_until = None;
         self.errors.clear();
         self.boot = now;
@@ -242,6 +246,19 @@ impl Esp301Twin {
         let name = name.to_ascii_uppercase();
         let parameter = parameter.trim();
         let axis = if axis.is_empty() { None } else { Some(axis.parse::<usize>().map_err(|_| 9_u16)?) };
+        match self.programs.take(text, axis, &name, parameter)? {
+            Done::Other => {}
+            Done::Quiet => return Ok(()),
+            Done::Told(lines) => {
+                lines.iter().for_each(|line| self.reply(line, now));
+                return Ok(());
+            }
+            Done::Run(steps) => {
+                let room = (MAX_WAITING + MOST_STEPS).saturating_sub(self.waiting.len());
+                steps.into_iter().take(room).rev().for_each(|step| self.waiting.push_front(step));
+                return Ok(());
+            }
+        }
         if self.controller(&name, axis, parameter, now)? {
             return Ok(());
         }
@@ -268,9 +285,6 @@ impl Esp301Twin {
 
     /// Commands of the controller as a whole; false for any other.
     fn controller(&mut self, name: &str, axis: Option<usize>, parameter: &str, now: Instant) -> Result<bool, u16> {
-        if let Some((_, code)) = PROGRAM_WORDS.iter().find(|(word, _)| *word == name) {
-            return Err(*code);
-        }
         match name {
             "VE" => self.reply(VERSION, now),
             "TE" => {
@@ -292,7 +306,9 @@ impl Esp301Twin {
             }
             "TX" => self.reply("@", now),
             "ZU" => self.reply(&format!("{:X}H", (1_u32 << self.axes.len()).wrapping_sub(1) << 8), now),
-            "SA" | "BO" | "SB" | "DI" if parameter == "?" => self.reply(if name == "SA" { "1" } else { "0H" }, now),
+            "SA" if parameter == "?" => self.reply(&self.bus_address.to_string(), now),
+            "SA" => self.bus_address = parameter.parse().ok().filter(|n| (1..=30).contains(n)).ok_or(7_u16)?,
+            "BO" | "SB" | "DI" if parameter == "?" => self.reply("0H", now),
             "ST" if axis.is_none() => self.axes.iter_mut().for_each(|a| {
                 a.stop("AG", now);
             }),
@@ -305,8 +321,9 @@ impl Esp301Twin {
                 let ms: f64 = parameter.parse().map_err(|_| 38_u16)?;
                 self.blocked_until = Some(now + Duration::try_from_secs_f64(ms / 1e3).map_err(|_| 7_u16)?);
             }
-            // Nothing to save, no digital outputs, no program running, no data acquisition.
-            "SM" | "SB" | "BO" | "AP" | "BG" | "UH" | "UL" | "ES" | "DC" | "DG" | "DF" | "DD" => {}
+            "AP" => self.waiting.clear(),
+            // Nothing to save, no digital outputs, no data acquisition.
+            "SM" | "SB" | "BO" | "BG" | "UH" | "UL" | "ES" | "DC" | "DG" | "DF" | "DD" => {}
             _ if name.starts_with('H') => return Err(if axis.is_none() { 13 } else { 15 }),
             _ => return Ok(false),
         }

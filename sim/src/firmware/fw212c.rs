@@ -65,6 +65,7 @@ pub struct Fw212cTwin {
     speed: u8,
     sensors: u8,
     trig: u8,
+    baud: u8,
     /// True place minus believed place.
     error: i32,
     deaf_until: Option<Instant>,
@@ -96,6 +97,7 @@ impl Fw212cTwin {
             speed: spec.speed,
             sensors: spec.sensors,
             trig: 0,
+            baud: 1,
             error: 0,
             deaf_until: None,
             queued: VecDeque::new(),
@@ -192,7 +194,7 @@ impl Fw212cTwin {
                 "speed" => self.port.value(self.speed, now),
                 "sensors" => self.port.value(self.sensors, now),
                 "trig" => self.port.value(self.trig, now),
-                "baud" => self.port.value(1, now),
+                "baud" => self.port.value(self.baud, now),
                 _ => self.port.error("CMD_NOT_DEFINED", now),
             };
         }
@@ -209,7 +211,8 @@ impl Fw212cTwin {
             ("pos", Ok(place)) if (1..=self.spec.places).contains(&place) => self.go(place, now),
             ("speed", Ok(v @ (0 | 1))) => self.set(now, |w| w.speed = v),
             ("sensors", Ok(v @ (0 | 1))) => self.set(now, |w| w.sensors = v),
-            ("baud", Ok(0 | 1)) => self.port.done(now),
+            // A pseudo-terminal or a pipe goes on at any speed.
+            ("baud", Ok(v @ (0 | 1))) => self.set(now, |w| w.baud = v),
             ("trig", Ok(v @ (0 | 1))) => self.set(now, |w| w.trig = v),
             ("pcount", Ok(v @ (6 | 12))) => self.set(now, |w| w.spec.places = v),
             ("pos" | "speed" | "sensors" | "trig" | "pcount" | "baud", _) => self.port.error("CMD_ARG_INVALID", now),
@@ -241,7 +244,8 @@ impl Fw212cTwin {
         if std::mem::take(&mut self.prompt_early) {
             self.port.done(now);
         } else {
-            self.deaf_until = Some(arrival);
+            // What was queued is taken up after the prompt.
+            self.deaf_until = Some(arrival + ANSWER);
             self.port.done(arrival);
         }
     }

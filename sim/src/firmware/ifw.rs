@@ -1,7 +1,7 @@
 //! Twin of an Optec IFW filter wheel with five to nine places.
 //!
-//! Source: the protocol sheet `optec-ifw`. Silent until `WSMODE`; 2 s a place, 10 s for the home search; while it turns it
-//! hears nothing.
+//! Source: the protocol sheet `optec-ifw`. Silent until `WSMODE`; 2 s a place the shorter way round (hosts wait 10 s for a
+//! turn, nine places included), 10 s for the home search; while it turns it hears nothing.
 
 use super::Firmware;
 use super::motion::Track;
@@ -203,10 +203,15 @@ impl IfwTwin {
             self.deaf_until = Some(now + Duration::from_secs(3));
             return self.reply("ER=4", now + Duration::from_secs(3));
         }
-        let mut steps = i32::from(place) - i32::from(self.believed(now));
+        let all = i32::from(self.places);
+        let mut steps = (i32::from(place) - i32::from(self.believed(now))).rem_euclid(all);
+        if steps > all / 2 {
+            steps -= all;
+        }
         if std::mem::take(&mut self.slips) {
-            let arrival = self.turn(f64::from(steps - 1), now);
-            self.error -= 1;
+            let short = if steps < 0 { 1 } else { -1 };
+            let arrival = self.turn(f64::from(steps + short), now);
+            self.error += short;
             self.homed = false;
             self.deaf_until = Some(arrival);
             return self.reply("ER=6", arrival);

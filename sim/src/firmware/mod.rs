@@ -6,6 +6,7 @@
 pub mod cm110;
 pub mod esp301;
 mod esp301_axis;
+mod esp301_programs;
 mod esp301_settings;
 pub mod fw212c;
 pub mod ifw;
@@ -21,6 +22,7 @@ mod smc100_box;
 pub mod usb;
 pub mod zaber;
 mod zaber_axis;
+mod zaber_request;
 mod zaber_stage;
 
 use tokio::time::Instant;

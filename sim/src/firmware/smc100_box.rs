@@ -9,6 +9,8 @@ use tokio::time::Instant;
 const VERSION: &str = "SMC100CC Controller-driver version 2. 0. 1";
 /// Time to leave the configuration state: the flash is written.
 const FLASH: Duration = Duration::from_secs(3);
+/// Characters of a stage's identifier.
+const MAX_ID: usize = 31;
 /// Following error in the motor's error word.
 const FOLLOWING_ERROR: u16 = 1 << 5;
 /// Homing time-out in the motor's error word.
@@ -24,6 +26,14 @@ const SETTINGS: [(&str, f64, f64, f64); 25] = [
     ("SL", -360.0, -1e12, 0.0), ("SR", 720.0, 0.0, 1e12), ("SU", 0.0005, 1e-12, 1e12), ("VA", 10.0, 1e-6, 40.0),
     ("VB", 0.0, 0.0, 40.0),
 ];
+
+/// Mnemonics of three letters; all others have two.
+const LONG_NAMES: [&str; 5] = ["FRM", "FRS", "QIL", "QIR", "QIT"];
+/// Switches that are kept and told in every state: mnemonic, value at power-up, largest. Outputs, closed loop, jog by the
+/// keypad, keypad.
+const SWITCHES: [(&str, f64, f64); 4] = [("SB", 0.0, 15.0), ("SC", 1.0, 1.0), ("JM", 1.0, 1.0), ("TK", 1.0, 1.0)];
+/// Settings that only the configuration state takes: address on the internal line, check of the stage's memory.
+const INSTALLED: [(&str, f64, f64, f64); 2] = [("SA", 2.0, 2.0, 31.0), ("ZX", 3.0, 1.0, 3.0)];
 
 /// Where the box is, by the numbers of `TS`.
 mod state {
@@ -89,7 +99,7 @@ impl SmcBox {
             state: state::RESET,
             errors: 0,
             last_error: '@',
-            settings: SETTINGS.iter().map(|(name, value, ..)| (*name, *value)).collect(),
+            settings: defaults(address),
             pending: None,
             silent_until: None,
             jam_at: None,
@@ -171,8 +181,8 @@ impl SmcBox {
     }
 
     fn act(&mut self, words: &str, now: Instant) -> Result<Vec<String>, char> {
-        let letters = words.bytes().take_while(u8::is_ascii_uppercase).count();
-        let (name, value) = words.split_at(letters);
+        let letters = if LONG_NAMES.iter().any(|name| words.starts_with(name)) { 3 } else { 2 };
+        let (name, value) = words.split_at_checked(letters).unwrap_or((words, ""));
         let value = value.trim();
         let one = |text: String| Ok(vec![text]);
         match name {
@@ -186,9 +196,7 @@ impl SmcBox {
             "TP" => one(format!("TP{}", decimal(self.counter(now)))),
             "TH" => one(format!("TH{}", decimal(self.target))),
             "VE" => one(format!("VE {VERSION}")),
-            "ID" if value == "?" => one(format!("ID{}", self.id)),
-            "SA" if value == "?" => one(format!("SA{}", self.address)),
-            "ZX" if value == "?" => one("ZX3".to_owned()),
+            "ID" if value == "?" || value.is_empty() => one(format!("ID{}", self.id)),
             "MM" if value == "?" => one(format!("MM{:X}", self.state)),
             "PW" if value == "?" => one(format!("PW{}", u8::from(self.state == state::CONFIGURATION))),
             "PA" if value == "?" => one(format!("PA{}", decimal(self.target))),
@@ -207,23 +215,35 @@ impl SmcBox {
             }
             "ST" => self.stop(now),
             "OR" | "PA" | "PR" | "MM" | "PW" => self.go(name, value, now),
-            "SB" | "SC" | "SE" | "TK" | "JD" | "JM" | "SA" | "ID" | "ZX" => Ok(Vec::new()),
+            "ID" if self.state != state::CONFIGURATION => Err(refusal(self.state)),
+            "ID" if value.len() > MAX_ID => Err('C'),
+            "ID" => {
+                self.id = value.to_owned();
+                Ok(Vec::new())
+            }
+            // Nothing was prepared that could start together, and no keypad jogs.
+            "SE" => Ok(Vec::new()),
+            "JD" => Err(refusal(self.state)),
             _ => self.setting(name, value),
         }
     }
 
     fn setting(&mut self, name: &str, value: &str) -> Result<Vec<String>, char> {
-        let (name, _, low, high) = SETTINGS.iter().find(|(n, ..)| *n == name).ok_or('A')?;
+        let switch = SWITCHES.iter().find(|(n, ..)| *n == name).map(|&(n, at, most)| (n, at, 0.0, most));
+        let known = switch.or_else(|| SETTINGS.iter().chain(&INSTALLED).find(|(n, ..)| *n == name).copied());
+        let (name, _, low, high) = known.ok_or('A')?;
         if value == "?" {
             return Ok(vec![format!("{name}{}", decimal(self.get(name)))]);
         }
         let number: f64 = value.parse().map_err(|_| 'C')?;
-        if number < *low || number > *high {
+        if number < low || number > high {
             return Err('C');
         }
         match self.state {
-            state::CONFIGURATION | state::DISABLED..=0x3E => {}
-            _ if self.ready() && matches!(*name, "AC" | "VA" | "SL" | "SR" | "JR" | "FE" | "KP" | "KI" | "KD") => {}
+            _ if switch.is_some() => {}
+            state::CONFIGURATION => {}
+            state::DISABLED..=0x3E if !INSTALLED.iter().any(|(n, ..)| *n == name) => {}
+            _ if self.ready() && matches!(name, "AC" | "VA" | "SL" | "SR" | "JR" | "FE" | "KP" | "KI" | "KD") => {}
             other => return Err(refusal(other)),
         }
         self.settings.insert(name, number);
@@ -232,17 +252,10 @@ impl SmcBox {
 
     /// All settings of a stepper box, as `ZT` lists them.
     fn all_settings(&self) -> Vec<String> {
-        let listed = [
-            "AC", "BA", "BH", "FRM", "FRS", "HT", "JR", "OH", "OT", "QIL", "QIR", "QIT", "SA", "SL", "SR", "VA", "VB",
-            "ZX",
-        ];
-        let value = |name: &str| match name {
-            "SA" => f64::from(self.address),
-            "ZX" => 3.0,
-            name => self.get(name),
-        };
+        let listed =
+            ["AC", "BA", "BH", "FRM", "FRS", "HT", "JR", "OH", "OT", "QIL", "SA", "SL", "SR", "VA", "VB", "ZX"];
         let mut lines = vec!["PW1".to_owned(), format!("ID{}", self.id)];
-        lines.extend(listed.iter().map(|name| format!("{name}{}", decimal(value(name)))));
+        lines.extend(listed.iter().map(|name| format!("{name}{}", decimal(self.get(name)))));
         lines.push("PW0".to_owned());
         lines
     }
@@ -329,6 +342,14 @@ impl SmcBox {
     }
 }
 
+/// All settings at power-up. A box that is addressed as 1 hangs on the host's line itself.
+fn defaults(address: u8) -> BTreeMap<&'static str, f64> {
+    let settings = SETTINGS.iter().chain(&INSTALLED).map(|(name, value, ..)| (*name, *value));
+    let mut all: BTreeMap<_, _> = settings.chain(SWITCHES.iter().map(|(name, value, _)| (*name, *value))).collect();
+    all.insert("SA", f64::from(address.max(2)));
+    all
+}
+
 /// The letter for a command that a state does not allow.
 fn refusal(state: u8) -> char {
     match state {
@@ -357,6 +378,7 @@ fn error_text(letter: char) -> &'static str {
         'C' => "Parameter missing or out of range",
         'D' => "Execution not allowed",
         'E' => "Home sequence already started",
+        'F' => "ESP stage name unknown",
         'G' => "Displacement out of limits",
         'H' => "Execution not allowed in NOT REFERENCED state",
         'I' => "Execution not allowed in CONFIGURATION state",
@@ -364,6 +386,12 @@ fn error_text(letter: char) -> &'static str {
         'K' => "Execution not allowed in READY state",
         'L' => "Execution not allowed in HOMING state",
         'M' => "Execution not allowed in MOVING state",
+        'N' => "Current position out of software limit",
+        'S' => "Communication Time Out",
+        'U' => "Error during EEPROM access",
+        'V' => "Error during command execution",
+        'W' => "Command not allowed for PP version",
+        'X' => "Command not allowed for CC version",
         _ => "Error during command execution",
     }
 }

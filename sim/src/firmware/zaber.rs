@@ -4,7 +4,8 @@
 
 use super::Firmware;
 use super::outbox::{Outbox, WireFault};
-use super::zaber_stage::{Request, Stage, checksum};
+use super::zaber_request::{Continued, Request, body};
+use super::zaber_stage::Stage;
 use std::collections::VecDeque;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -72,10 +73,13 @@ pub struct ZaberChainTwin {
     devices: Vec<Stage>,
     outbox: Outbox,
     line: Vec<u8>,
+    continued: Continued,
     shapes: VecDeque<ZaberFault>,
     again: u8,
     restart_on_command: bool,
     replies: u64,
+    /// When the last reply leaves; the chain answers a broadcast in its order.
+    last_reply: Instant,
 }
 
 // === impl ZaberStage ===
@@ -106,15 +110,17 @@ impl ZaberStage {
 impl ZaberChainTwin {
     /// A chain powered up at `now`; the first stage is device 1.
     pub fn new(stages: Vec<ZaberStage>, now: Instant) -> ZaberChainTwin {
-        let devices = stages.into_iter().map(|spec| Stage::new(spec, now)).collect();
+        let devices = stages.into_iter().zip(1..=99).map(|(spec, address)| Stage::new(spec, address, now)).collect();
         ZaberChainTwin {
             devices,
             outbox: Outbox::default(),
             line: Vec::new(),
+            continued: Continued::default(),
             shapes: VecDeque::new(),
             again: 0,
             restart_on_command: false,
             replies: 0,
+            last_reply: now,
         }
     }
 
@@ -169,25 +175,25 @@ impl ZaberChainTwin {
 
     /// A whole line has come; a wrong checksum is met with silence.
     fn request(&mut self, line: &[u8], now: Instant) {
-        let Some(text) = line.iter().rposition(|&b| b == b'/').and_then(|s| line.get(s + 1..)) else { return };
-        let Ok(text) = std::str::from_utf8(text) else { return };
-        let body = match text.split_once(':') {
-            None => text,
-            Some((body, sum)) if sum == format!("{:02X}", checksum(body)) => body,
-            Some(_) => return,
-        };
-        let request = Request::of(body);
-        let numbers: Vec<u8> = match request.device {
-            0 => (1..=self.devices.len() as u8).collect(),
-            one => vec![one],
-        };
-        for (order, device) in numbers.into_iter().enumerate() {
-            self.serve(device, &request, now + Duration::from_millis(order as u64));
+        let Some(whole) = body(line).and_then(|body| self.continued.take(body)) else { return };
+        let request = Request::of(&whole);
+        let meant = |stage: &Stage| request.device == 0 || request.device == stage.address;
+        let places: Vec<usize> = (0..self.devices.len()).filter(|&n| self.devices.get(n).is_some_and(meant)).collect();
+        for (order, place) in places.into_iter().enumerate() {
+            let at = now + Duration::from_millis(order as u64);
+            if let (0, ["renumber", rest @ ..]) = (request.axis, request.words.as_slice())
+                && let Some(stage) = self.devices.get_mut(place)
+            {
+                let first: u8 = rest.first().and_then(|n| n.parse().ok()).unwrap_or(1);
+                stage.address = first.saturating_add(order as u8).clamp(1, 99);
+            }
+            self.serve(place, &request, at);
         }
     }
 
-    fn serve(&mut self, device: u8, request: &Request<'_>, now: Instant) {
-        let Some(stage) = usize::from(device).checked_sub(1).and_then(|i| self.devices.get_mut(i)) else { return };
+    fn serve(&mut self, place: usize, request: &Request<'_>, now: Instant) {
+        let Some(stage) = self.devices.get_mut(place) else { return };
+        let device = stage.address;
         if std::mem::take(&mut self.restart_on_command) {
             return stage.restart(now);
         }
@@ -201,7 +207,8 @@ impl ZaberChainTwin {
             stage.answer(request, now)
         };
         self.replies += 1;
-        let at = now + Duration::from_millis(2 + self.replies % 3);
+        let at = (now + Duration::from_millis(2 + self.replies % 3)).max(self.last_reply);
+        self.last_reply = at;
         stage.plan_alert();
         let shape = self.shapes.pop_front();
         let lines = stage.reply(device, request, accepted, &data, shape, now);
@@ -213,9 +220,12 @@ impl Firmware for ZaberChainTwin {
     fn receive(&mut self, bytes: &[u8], now: Instant) {
         for &byte in bytes {
             if byte == b'\n' || byte == b'\r' {
+                // A line that is too long is lost.
                 let line = std::mem::take(&mut self.line);
-                self.request(&line, now);
-            } else if self.line.len() < MAX_REQUEST {
+                if line.len() <= MAX_REQUEST {
+                    self.request(&line, now);
+                }
+            } else if self.line.len() <= MAX_REQUEST {
                 self.line.push(byte);
             }
         }
@@ -226,10 +236,10 @@ impl Firmware for ZaberChainTwin {
     }
 
     fn take(&mut self, now: Instant) -> Vec<u8> {
-        for (n, stage) in self.devices.iter_mut().enumerate() {
+        for stage in &mut self.devices {
             if stage.alert_at.take_if(|at| *at <= now).is_some() {
                 stage.axis.update(now);
-                let text = format!("{:02} 1 IDLE {}", n + 1, stage.top_warning());
+                let text = format!("{:02} 1 IDLE {}", stage.address, stage.top_warning());
                 self.outbox.unasked(now, &stage.line('!', &text));
             }
         }
@@ -239,5 +249,6 @@ impl Firmware for ZaberChainTwin {
     fn connected(&mut self, _now: Instant) {
         self.outbox.clear();
         self.line.clear();
+        self.continued.clear();
     }
 }

@@ -77,9 +77,16 @@ impl AxisTwin {
         setting / 1.6384 * 360.0 / CYCLE
     }
 
-    /// Acceleration in degrees a second squared; 0 = no ramps.
-    fn accel_deg(&self) -> f64 {
-        self.accel * 1e4 / 1.6384 * 360.0 / CYCLE
+    /// Acceleration in degrees a second squared of an `accel` value; 0 = no ramps.
+    fn accel_deg(&self, setting: f64) -> f64 {
+        setting * 1e4 / 1.6384 * 360.0 / CYCLE
+    }
+
+    /// Speed now in the units of `maxspeed`.
+    pub fn speed(&self, now: Instant) -> f64 {
+        let dt = Duration::from_millis(1);
+        let degrees = (self.track.position(now + dt) - self.track.position(now)) / dt.as_secs_f64();
+        if self.track.moving(now) { degrees * CYCLE / 360.0 * 1.6384 } else { 0.0 }
     }
 
     /// What the position counter says, in microsteps.
@@ -141,10 +148,11 @@ impl AxisTwin {
         }
     }
 
-    /// Begins a move to a counter value; the caller has checked limits and state.
-    pub fn move_to(&mut self, steps: i64, now: Instant) {
+    /// Begins a move to a counter value with this speed and acceleration, in the units of `maxspeed` and `accel`; the
+    /// caller has checked limits and state.
+    pub fn move_to(&mut self, steps: i64, (speed, accel): (f64, f64), now: Instant) {
         let target = steps as f64 * 360.0 / CYCLE + self.offset_deg;
-        self.begin(target, self.speed_deg(self.max_speed), now);
+        self.begin(target, self.speed_deg(speed), accel, now);
         if std::mem::take(&mut self.never_arrives) {
             let half = self.track.end().map_or(Duration::ZERO, |end| end.saturating_duration_since(now) / 2);
             self.track.freeze(now + half);
@@ -154,17 +162,17 @@ impl AxisTwin {
 
     /// Begins the search for the home sensor, which sits at true angle 0.
     pub fn home(&mut self, now: Instant) {
-        self.begin(0.0, self.speed_deg(self.approach_speed.min(self.max_speed)), now);
+        self.begin(0.0, self.speed_deg(self.approach_speed.min(self.max_speed)), self.accel, now);
         if self.pending.is_none() {
             self.pending = self.track.end().map(|end| (end, Pending::HomeFound));
         }
     }
 
-    fn begin(&mut self, target: f64, speed: f64, now: Instant) {
+    fn begin(&mut self, target: f64, speed: f64, accel: f64, now: Instant) {
         self.interrupted = false;
         self.stuck = false;
         self.pending = None;
-        self.track.go(now, target, speed, self.accel_deg());
+        self.track.go(now, target, speed, self.accel_deg(accel));
         if let Some(angle) = self.stall_at
             && let Some(at) = self.track.passes(now, angle)
         {
@@ -180,7 +188,7 @@ impl AxisTwin {
             self.interrupted = true;
             self.stuck = false;
             self.pending = None;
-            self.track.brake(now, self.accel_deg());
+            self.track.brake(now, self.accel_deg(self.accel));
         }
     }
 
@@ -195,9 +203,9 @@ impl AxisTwin {
     }
 
     /// Moves at a speed in the units of `maxspeed`, until a limit.
-    pub fn run(&mut self, speed: f64, now: Instant) {
+    pub fn run(&mut self, speed: f64, accel: f64, now: Instant) {
         let limit = if speed > 0.0 { self.limit_max } else { self.limit_min };
-        self.begin(limit as f64 * 360.0 / CYCLE + self.offset_deg, self.speed_deg(speed.abs()), now);
+        self.begin(limit as f64 * 360.0 / CYCLE + self.offset_deg, self.speed_deg(speed.abs()), accel, now);
     }
 
     /// When the motion under way ends by itself.

@@ -4,18 +4,25 @@
 
 use super::zaber::{MAX_REQUEST, ZaberFault, ZaberStage};
 use super::zaber_axis::AxisTwin;
+use super::zaber_request::{Request, checksum};
 use std::collections::BTreeMap;
 use tokio::time::Instant;
 
 /// Settings that only remember their value: name, value at power-up, smallest, largest.
 #[rustfmt::skip]
-const KEPT: [(&str, f64, f64, f64); 20] = [
+const KEPT: [(&str, f64, f64, f64); 26] = [
     ("system.access", 1.0, 1.0, 2.0), ("system.led.enable", 1.0, 0.0, 1.0), ("comm.next.owner", 0.0, 0.0, 99.0), ("comm.timeout", 0.0, 0.0, 65_535.0),
     ("knob.enable", 1.0, 0.0, 1.0), ("knob.mode", 0.0, 0.0, 1.0), ("knob.dir", 0.0, 0.0, 1.0), ("knob.maxspeed", 153_600.0, 1.0, 1e6),
     ("knob.distance", 12_800.0, 1.0, 1e9), ("knob.speedprofile", 1.0, 1.0, 3.0), ("knob.force", 0.0, 0.0, 1.0), ("driver.current.run", 160.0, 0.0, 200.0),
     ("driver.current.hold", 100.0, 0.0, 200.0), ("driver.current.approach", 160.0, 0.0, 200.0), ("driver.dir", 0.0, 0.0, 1.0), ("motion.accelonly", 205.0, 0.0, 32_767.0),
     ("motion.decelonly", 205.0, 0.0, 32_767.0), ("limit.approach.accel", 205.0, 0.0, 32_767.0), ("limit.home.offset", 0.0, 0.0, 1e9), ("user.data.0", 0.0, 0.0, 4e9),
+    ("motion.index.dist", 128_000.0, 1.0, 1e9), ("motion.index.num", 0.0, 0.0, 1e6), ("motion.accel.ramptime", 0.0, 0.0, 1e3),
+    ("limit.detect.decelonly", 205.0, 0.0, 32_767.0), ("limit.detect.maxspeed", 153_600.0, 1.0, 1e6), ("limit.hardstop.retraction", 0.0, 0.0, 1e9),
 ];
+/// Largest message id.
+const MAX_ID: u8 = 99;
+/// Texts that a device keeps.
+const MAX_TEXTS: usize = 256;
 
 /// One device of the chain.
 #[derive(Debug)]
@@ -29,14 +36,12 @@ pub(super) struct Stage {
     pub alert_at: Option<Instant>,
     /// Settings that only remember their value.
     kept: BTreeMap<&'static str, f64>,
-}
-
-/// A request as it came: who is meant, which id, which words.
-pub(super) struct Request<'a> {
-    pub device: u8,
-    axis: u8,
-    id: Option<u8>,
-    words: Vec<&'a str>,
+    /// Number on the chain.
+    pub address: u8,
+    /// Positions that `tools storepos` remembers, by number.
+    stored: BTreeMap<u8, i64>,
+    /// Texts that hosts keep in the device, by scope and key.
+    storage: BTreeMap<String, String>,
 }
 
 /// An answer before it has an address: accepted, data.
@@ -45,14 +50,15 @@ pub(super) type Answer = (bool, String);
 // === impl Stage ===
 
 impl Stage {
-    /// A device powered up at `now`.
-    pub fn new(spec: ZaberStage, now: Instant) -> Stage {
+    /// A device powered up at `now` with this number on the chain.
+    pub fn new(spec: ZaberStage, address: u8, now: Instant) -> Stage {
         let mut axis = AxisTwin::new(spec.start_deg, now);
         axis.max_speed = f64::from(spec.max_speed);
         axis.approach_speed = f64::from(spec.max_speed);
         axis.accel = f64::from(spec.accel);
         let kept = KEPT.iter().map(|(name, value, ..)| (*name, *value)).collect();
-        Stage { spec, boot: now, checksum: false, alert: false, axis, alert_at: None, kept }
+        let (stored, storage) = Default::default();
+        Stage { spec, boot: now, checksum: false, alert: false, axis, alert_at: None, kept, address, stored, storage }
     }
 
     /// Power goes and comes back.
@@ -115,9 +121,15 @@ impl Stage {
         if request.axis > 1 {
             return no("BADAXIS");
         }
+        if request.id.is_some_and(|id| id > MAX_ID) {
+            return no("BADMESSAGEID");
+        }
         match request.words.as_slice() {
             [] => ok("0"),
+            ["tools", "echo"] | ["help", ..] => ok("0"),
             ["tools", "echo", text @ ..] => ok(&text.join(" ")),
+            ["tools", "storepos", place, rest @ ..] => self.store_position(place, rest, now),
+            ["storage", rest @ ..] => self.store_text(request.axis, rest),
             ["tools", "parking", state @ ("park" | "unpark")] => {
                 if self.axis.busy(now) {
                     return no("STATUSBUSY");
@@ -126,7 +138,11 @@ impl Stage {
                 ok("0")
             }
             ["get" | "set", name, ..] if request.axis > 0 && of_device(name) => no("DEVICEONLY"),
-            ["get", name] => self.get(name, now).map_or(no("BADCOMMAND"), |v| ok(&v)),
+            ["renumber" | "system", ..] if request.axis > 0 => no("DEVICEONLY"),
+            ["get", names @ ..] if !names.is_empty() => {
+                let values: Option<Vec<String>> = names.iter().map(|name| self.get(name, now)).collect();
+                values.map_or(no("BADCOMMAND"), |values| ok(&values.join("; ")))
+            }
             ["set", name, value] => self.set(name, value, now),
             ["driver", "enable"] if self.spec.firmware().0 >= 7 => {
                 self.axis.driver_on = true;
@@ -143,11 +159,9 @@ impl Stage {
                 },
                 no,
             ),
-            ["move", "abs", n] => self.go(n.parse().ok(), now),
-            ["move", "min"] => self.go(Some(self.axis.limit_min), now),
-            ["move", "max"] => self.go(Some(self.axis.limit_max), now),
-            ["move", "vel", n] => self.run(n.parse().ok(), now),
-            ["move", "rel", n] => self.go(n.parse::<i64>().ok().map(|n| n + self.axis.counter(now)), now),
+            ["move", words @ ..] => self.travel(words, now),
+            // The chain has given the new number before the reply.
+            ["renumber", ..] => ok("0"),
             ["stop"] => {
                 self.axis.stop(now);
                 ok("0")
@@ -163,42 +177,116 @@ impl Stage {
                 let codes = self.axis.codes(true);
                 ok(format!("{:02} {}", codes.len(), codes.join(" ")).trim_end())
             }
-            ["system", "reset"] => {
-                self.restart(now);
-                ok("0")
-            }
-            ["system", "restore" | "factoryreset"] => {
-                self.kept = KEPT.iter().map(|(name, value, ..)| (*name, *value)).collect();
-                (self.checksum, self.alert) = (false, false);
-                (self.axis.max_speed, self.axis.accel) = (f64::from(self.spec.max_speed), f64::from(self.spec.accel));
-                ok("0")
-            }
+            ["system", word] => self.system(word, now),
             ["io", "info", ..] => ok("0 0 0 0"),
-            ["storage", "get" | "erase", ..] | ["storage", "axis", "get" | "erase", ..] => no("BADDATA"),
             _ => no("BADCOMMAND"),
         }
     }
 
-    fn go(&mut self, steps: Option<i64>, now: Instant) -> Answer {
+    fn system(&mut self, word: &str, now: Instant) -> Answer {
+        match word {
+            "reset" => self.restart(now),
+            "restore" | "factoryreset" => {
+                self.kept = KEPT.iter().map(|(name, value, ..)| (*name, *value)).collect();
+                (self.checksum, self.alert) = (false, false);
+                (self.axis.max_speed, self.axis.accel) = (f64::from(self.spec.max_speed), f64::from(self.spec.accel));
+            }
+            _ => return no("BADCOMMAND"),
+        }
+        ok("0")
+    }
+
+    /// `move`: where to, then speed and acceleration for this move alone (firmware 7.25 on).
+    fn travel(&mut self, words: &[&str], now: Instant) -> Answer {
+        let (minimum, maximum) = (self.axis.limit_min, self.axis.limit_max);
+        let here = self.axis.counter(now);
+        let whole = |text: &&str| text.parse::<i64>().ok();
+        let index = self.kept.get("motion.index.dist").map_or(0, |d| *d as i64);
+        let (target, rest) = match words {
+            ["min", rest @ ..] => (Some(minimum), rest),
+            ["max", rest @ ..] => (Some(maximum), rest),
+            ["abs", n, rest @ ..] => (whole(n), rest),
+            ["rel", n, rest @ ..] => (whole(n).and_then(|n| n.checked_add(here)), rest),
+            ["index", n, rest @ ..] => (whole(n).and_then(|n| n.checked_sub(1)?.checked_mul(index)), rest),
+            ["stored", n, rest @ ..] => (n.parse().ok().and_then(|n: u8| self.stored.get(&n).copied()), rest),
+            ["vel", n, rest @ ..] => return self.run(n.parse().ok(), rest, now),
+            _ => return no("BADCOMMAND"),
+        };
+        let numbers: Option<Vec<f64>> = rest.iter().map(|text| text.parse().ok()).collect();
+        let (speed, accel) = match numbers.as_deref() {
+            Some([]) => (self.axis.max_speed, self.axis.accel),
+            Some([speed]) => (*speed, self.axis.accel),
+            Some([speed, accel]) => (*speed, *accel),
+            Some(_) => return no("BADCOMMAND"),
+            None => return no("BADDATA"),
+        };
+        if !rest.is_empty() && self.spec.firmware() < (7, 25) {
+            return no("BADCOMMAND");
+        }
         if let Some(why) = self.axis.refuses() {
             return no(why);
         }
-        match steps.filter(|n| (self.axis.limit_min..=self.axis.limit_max).contains(n)) {
-            Some(n) => {
-                self.axis.move_to(n, now);
+        match target.filter(|n| (minimum..=maximum).contains(n)) {
+            Some(n) if (1.0..=1e6).contains(&speed) && (0.0..=32_767.0).contains(&accel) => {
+                self.axis.move_to(n, (speed, accel), now);
+                ok("0")
+            }
+            _ => no("BADDATA"),
+        }
+    }
+
+    /// `move vel`: in the units of `maxspeed`, until a limit; 0 stops.
+    fn run(&mut self, speed: Option<f64>, accel: &[&str], now: Instant) -> Answer {
+        let accel = accel.first().map_or(Some(self.axis.accel), |text| text.parse().ok());
+        match (self.axis.refuses(), speed.filter(|v| v.abs() <= 1e6), accel.filter(|a| (0.0..=32_767.0).contains(a))) {
+            (Some(why), ..) => return no(why),
+            (None, Some(0.0), Some(_)) => self.axis.stop(now),
+            (None, Some(speed), Some(accel)) => self.axis.run(speed, accel, now),
+            _ => return no("BADDATA"),
+        }
+        ok("0")
+    }
+
+    /// `tools storepos n`: tells the position under this number; `current` or a number sets it.
+    fn store_position(&mut self, place: &str, rest: &[&str], now: Instant) -> Answer {
+        let Some(place) = place.parse().ok().filter(|n: &u8| (1..=16).contains(n)) else { return no("BADDATA") };
+        let position = match rest {
+            [] => return ok(&self.stored.get(&place).copied().unwrap_or(0).to_string()),
+            ["current"] => Some(self.axis.counter(now)),
+            [n] => n.parse().ok(),
+            _ => None,
+        };
+        match position.filter(|n| (self.axis.limit_min..=self.axis.limit_max).contains(n)) {
+            Some(position) => {
+                self.stored.insert(place, position);
                 ok("0")
             }
             None => no("BADDATA"),
         }
     }
 
-    /// `move vel`: in the units of `maxspeed`, until a limit; 0 stops.
-    fn run(&mut self, speed: Option<f64>, now: Instant) -> Answer {
-        match (self.axis.refuses(), speed.filter(|v| v.abs() <= 1e6)) {
-            (Some(why), _) => return no(why),
-            (None, None) => return no("BADDATA"),
-            (None, Some(0.0)) => self.axis.stop(now),
-            (None, Some(speed)) => self.axis.run(speed, now),
+    /// `storage [axis] set|append|get|exists|erase key [text]`.
+    fn store_text(&mut self, axis: u8, words: &[&str]) -> Answer {
+        let (scope, words) = match words {
+            ["axis", rest @ ..] => (1, rest),
+            words => (axis, words),
+        };
+        let [verb, key, text @ ..] = words else { return no("BADCOMMAND") };
+        let key = format!("{scope} {key}");
+        match (*verb, text) {
+            ("set", [_, ..]) if self.storage.len() >= MAX_TEXTS && !self.storage.contains_key(&key) => {
+                return no("FULL");
+            }
+            ("set", [_, ..]) => drop(self.storage.insert(key, text.join(" "))),
+            ("append", [_, ..]) => match self.storage.get_mut(&key) {
+                Some(kept) => *kept = format!("{kept} {}", text.join(" ")),
+                None => return no("BADDATA"),
+            },
+            ("exists", []) => return ok(if self.storage.contains_key(&key) { "1" } else { "0" }),
+            ("get", []) => return self.storage.get(&key).map_or(no("BADDATA"), |text| ok(text)),
+            ("erase", []) if self.storage.remove(&key).is_none() => return no("BADDATA"),
+            ("erase", []) => {}
+            _ => return no("BADCOMMAND"),
         }
         ok("0")
     }
@@ -209,10 +297,14 @@ impl Stage {
         let flag = |on: bool| u8::from(on).to_string();
         Some(match name {
             "device.id" if major >= 7 => self.spec.device_id.to_string(),
-            "deviceid" if major < 7 => self.spec.device_id.to_string(),
+            // Firmware 7 still knows the older name: the vendor's library asks by it.
+            "deviceid" => self.spec.device_id.to_string(),
             "version" => self.spec.version.clone(),
             "system.serial" => self.spec.serial.clone(),
-            "system.axiscount" | "comm.address" => "1".into(),
+            "system.axiscount" => "1".into(),
+            "comm.address" => self.address.to_string(),
+            "version.build" => "1".into(),
+            "vel" => format!("{:.0}", axis.speed(now)),
             "system.uptime" if (major, minor) >= (7, 34) => {
                 now.saturating_duration_since(self.boot).as_secs().to_string()
             }
@@ -254,6 +346,10 @@ impl Stage {
                 self.axis.limit_max = n;
                 return ok("0");
             }
+            ("comm.address", Some(n @ 1..=99)) => {
+                self.address = n as u8;
+                return ok("0");
+            }
             ("pos", Some(n)) => {
                 self.axis.set_counter(n, now);
                 return ok("0");
@@ -270,7 +366,7 @@ impl Stage {
             ("comm.checksum" | "comm.alert" | "maxspeed" | "accel" | "limit.approach.maxspeed", _) => {
                 return no("BADDATA");
             }
-            ("limit.min" | "limit.max", _) => return no("BADDATA"),
+            ("limit.min" | "limit.max" | "comm.address", _) => return no("BADDATA"),
             _ => return self.keep(name, f64::from(number)),
         }
         ok("0")
@@ -289,38 +385,12 @@ impl Stage {
     }
 }
 
-// === impl Request ===
-
-impl<'a> Request<'a> {
-    /// Reads `[device [axis [id]]] words`.
-    pub fn of(body: &'a str) -> Request<'a> {
-        let mut words: Vec<&str> = body.split_ascii_whitespace().collect();
-        let mut number = || {
-            let n = words.first().and_then(|w| w.parse::<u8>().ok());
-            if n.is_some() || words.first() == Some(&"--") {
-                words.remove(0);
-            }
-            n
-        };
-        let device = number();
-        let axis = device.and_then(|_| number());
-        let id = axis.and_then(|_| number());
-        Request { device: device.unwrap_or(0), axis: axis.unwrap_or(0), id, words }
-    }
-}
-
 fn ok(data: &str) -> Answer {
     (true, data.to_owned())
 }
 
 fn no(word: &str) -> Answer {
     (false, word.to_owned())
-}
-
-/// Number that makes the sum of all bytes zero modulo 256.
-pub(super) fn checksum(body: &str) -> u8 {
-    let sum: u32 = body.bytes().map(u32::from).sum();
-    ((256 - sum % 256) % 256) as u8
 }
 
 /// Settings of the device, not of its axis.

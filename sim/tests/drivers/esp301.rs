@@ -134,12 +134,21 @@ async fn the_twin_answers_what_other_programs_send() {
         ("3PAx", 313),
         ("1HN1,2", 15),
         ("5EX", 35),
-        ("3EP", 27),
+        ("101EP", 7),
+        ("QP", 26),
+        ("1DL", 27),
+        ("SA31", 7),
     ] {
         assert!(say(link, request).await.is_empty(), "{request} is silent");
         assert_eq!(code(&say(link, "TB?").await), error, "{request}");
         assert_eq!(code(&say(link, "TB?").await), 0, "{request} left one report");
     }
+    for line in ["7EP", "1MO;1PR2;1WS", "QP", "7EX3"] {
+        assert!(say(link, line).await.is_empty(), "{line} is silent");
+    }
+    tokio::time::sleep(Duration::from_secs(9)).await;
+    assert_eq!(say(link, "1TP?;SA?;7LP").await, ["6.0000", "1", "1MO", "1PR2", "1WS"], "a program of three steps");
+    say(link, "1DH0").await;
     for _ in 0..12 {
         say(link, "XY").await;
     }

@@ -60,6 +60,50 @@ async fn the_twin_speaks_the_worked_exchange() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn the_twin_answers_what_other_programs_send() {
+    let bench = bench();
+    let clock = Clock::system();
+    let mut link = bench.twins.holder.connector(clock).connect().await.unwrap();
+    let mut say = async |request: &str| {
+        link.send(format!("{request}\r\n").as_bytes()).await.unwrap();
+        let line = link.line(clock.now() + Duration::from_millis(100)).await.unwrap();
+        line.map_or(String::new(), |l| String::from_utf8(l).unwrap())
+    };
+    for (request, reply) in [
+        ("/1 1 150 get pos", "@01 1 150 RJ IDLE WR BADMESSAGEID"),
+        ("/1 1 -- get resolution", "@01 1 OK IDLE WR 64"),
+        ("/1 1 get device.id", "@01 1 RJ IDLE WR DEVICEONLY"),
+        ("/1 tools storepos 1 6400", "@01 0 OK IDLE WR 0"),
+        ("/1 tools storepos 1", "@01 0 OK IDLE WR 6400"),
+        ("/1 tools storepos 17 5", "@01 0 RJ IDLE WR BADDATA"),
+        ("/1 storage set name tilt stage", "@01 0 OK IDLE WR 0"),
+        ("/1 storage get name", "@01 0 OK IDLE WR tilt stage"),
+        ("/1 storage erase name", "@01 0 OK IDLE WR 0"),
+        ("/1 storage get name", "@01 0 RJ IDLE WR BADDATA"),
+        ("/1 move abs 5 x", "@01 0 RJ IDLE WR BADDATA"),
+        ("/1 move sideways 5", "@01 0 RJ IDLE WR BADCOMMAND"),
+        ("/1 move index -9223372036854775808", "@01 0 RJ IDLE WR BADDATA"),
+        ("/1 0 05 tools echo a\\", ""),
+        ("/1 0 05 cont 1 b c", "@01 0 05 OK IDLE WR a b c"),
+        ("/1 tools echo 12345678901234567890123456789012345678901234567890123456789012345678901", ""),
+        ("/2 set comm.address 7", "@02 0 OK IDLE WR 0"),
+        ("/2 get pos", ""),
+        ("/7 get comm.address", "@07 0 OK IDLE WR 7"),
+        ("/7 renumber 2", "@02 0 OK IDLE WR 0"),
+        ("/2 get comm.address", "@02 0 OK IDLE WR 2"),
+        ("/1 driver disable", "@01 0 OK IDLE FO 0"),
+        ("/1 home", "@01 0 RJ IDLE FO DRIVERDISABLED"),
+        ("/1 driver enable", "@01 0 OK IDLE WR 0"),
+        // A tenth of the speed that is set, for this move alone.
+        ("/1 move rel -12800 15360 205", "@01 0 OK BUSY WR 0"),
+        ("/1 get vel", "@01 0 OK BUSY WR -15360"),
+    ] {
+        assert_eq!(say(request).await, reply, "{request}");
+        tokio::time::sleep(Duration::from_millis(400)).await;
+    }
+}
+
+#[tokio::test(start_paused = true)]
 async fn open_home_and_move_find_the_true_angle() {
     let mut bench = bench();
     let identity = bench.axes[0].open().await.unwrap();

@@ -82,12 +82,16 @@ async fn the_twin_answers_what_other_programs_send() {
     let c = chain();
     let mut link = c.port.connector(Clock::system()).connect().await.unwrap();
     let link = &mut link;
-    assert_eq!(say(link, "1ZT").await.len(), 21, "a line a parameter, between PW1 and PW0");
+    let all = say(link, "1ZT").await;
+    assert!(all.len() == 19 && all.first().unwrap() == "1PW1" && all.last().unwrap() == "1PW0", "{all:?}");
+    assert_eq!(say(link, "1ID").await, say(link, "1ID?").await);
     assert_eq!(say(link, "1VA?").await, ["1VA10"]);
     assert_eq!(say(link, "1PT10").await, ["1PT1.25"]);
     assert!(say(link, "4TS").await.is_empty(), "no such box");
     for (request, letter) in
         [("1XY", "A"), ("1VA5", "H"), ("1PAx", "H"), ("1OH0", "C"), ("1PW2", "C"), ("1MM0", "H"), ("1PW0", "H")]
+            .into_iter()
+            .chain([("1SA3", "H"), ("1IDURS50", "H"), ("1JD", "H"), ("1JM2", "C"), ("1VA", "C"), ("1JM0", "@")])
     {
         assert!(say(link, request).await.is_empty());
         assert_eq!(say(link, "1TE").await, [format!("1TE{letter}")], "{request}");
@@ -96,6 +100,12 @@ async fn the_twin_answers_what_other_programs_send() {
     say(link, "1OH5").await;
     assert_eq!(say(link, "1TE").await, ["1TE@"]);
     assert_eq!(say(link, "1OH?").await, ["1OH5"]);
+    for (set, asked, answer) in [("1SA4", "1SA?", "1SA4"), ("1ZX1", "1ZX?", "1ZX1"), ("1IDURS50", "1ID?", "1IDURS50")] {
+        assert!(say(link, set).await.is_empty());
+        assert_eq!(say(link, asked).await, [answer]);
+    }
+    assert_eq!(say(link, "1JM?").await, ["1JM0"]);
+    assert_eq!(say(link, "1TS").await, ["1TS000014"], "it still answers to its own address");
     say(link, "1PW0").await;
     assert!(say(link, "1TS").await.is_empty(), "silent while the flash is written");
     tokio::time::sleep(Duration::from_secs(4)).await;

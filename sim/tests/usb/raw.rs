@@ -145,6 +145,29 @@ async fn a_meter_answers_in_parts_and_keeps_an_error_queue() {
             }
         }
     }
+    for (question, answer) in [
+        ("*STB?", "0"),
+        ("STAT:OPER:PTR 512;:STAT:OPER:PTR?;NTR?", "512;0"),
+        ("CORR:BEAM 5;BEAM?;BEAM? MAX", "5.000000E+00;2.540000E+01"),
+        ("CORR?", "0.000000E+00"),
+        ("CONF:CURR;:CONF?", "CURR"),
+        ("MEAS:FREQ?;:CONF?", "0.000000E+00;FREQ"),
+        ("SYST:LFR?;BEEP:VOL?", "50;1.000000E+00"),
+        ("MEAS:TEMP?;:SYST:ERR?", "-221,\"Settings conflict\""),
+        ("*ESE 16;*STB?;*ESR?", "32;16"),
+        ("SYST:BEEP:VOL 2;*ESR?;*STB?;*CLS;*ESR?", "16;4;0"),
+        ("*RST;CONF?", "POW"),
+    ] {
+        assert_eq!(ask(&mut link, question, 255).await.as_deref(), Some(answer), "{question}");
+    }
+    ask(&mut link, "SENS:CORR:WAV 550;BEAM 10;:SENS:AVER 50;*OPC?", 255).await;
+    let read = async |link: &mut UsbLink, what: &str| ask(link, what, 255).await.unwrap().parse::<f64>().unwrap();
+    // The first reading in a new range is off.
+    read(&mut link, "MEAS:POW?").await;
+    let (watts, amperes) = (read(&mut link, "MEAS:POW?").await, read(&mut link, "MEAS:CURR?").await);
+    assert!((amperes / watts - 0.33).abs() < 1e-3, "responsivity at 550 nm: {amperes} A of {watts} W");
+    let density = read(&mut link, "MEAS:PDEN?").await;
+    assert!((density / watts * std::f64::consts::FRAC_PI_4 - 1.0).abs() < 1e-3, "a beam of 1 cm: {density}");
     let power: f64 = ask(&mut link, "MEAS:POW?\n", 255).await.unwrap().parse().unwrap();
     let again: f64 = ask(&mut link, "FETCH?\n", 255).await.unwrap().parse().unwrap();
     assert!((power / again - 1.0).abs() < 1e-9 && power > 0.0, "{power} {again}");

@@ -3,7 +3,7 @@
 //! Source: the protocol sheet `thorlabs-pm100-usbtmc`; command tree of the PM100D manual, SCPI chapter.
 
 use super::endpoint::UsbFault;
-use super::pm100_tree::{COMMANDS, Command};
+use super::pm100_tree::{COMMANDS, Command, Quantity};
 use super::scpi::{self, Unit, number};
 use super::tmc::{self, FrameFault, Received, TmcPort};
 use crate::front::usb::{Answer, Descriptors, SetupPacket, Speed, UsbTwin};
@@ -27,6 +27,8 @@ const MOST_ERRORS: usize = 30;
 const RANGES: [f64; 7] = [50e-9, 500e-9, 5e-6, 50e-6, 500e-6, 5e-3, 50e-3];
 /// A reading may exceed its range by so much.
 const OVER: f64 = 1.1;
+/// Event of power-up.
+const POWER_ON: u8 = 128;
 /// What stands for a reading beyond the range.
 const INFINITE: f64 = 9.9e37;
 /// First reading after a change of range.
@@ -50,6 +52,8 @@ pub enum Pm100Model {
 pub struct Pm100Spec {
     /// Model.
     pub model: Pm100Model,
+    /// Maker as `*IDN?` says it: `THORLABS` in the manual, `Thorlabs` in some units.
+    pub maker: String,
     /// Serial number of the meter.
     pub serial: String,
     /// What `SYST:SENS:IDN?` says: name, serial, calibration text, type, subtype, flags; `None` without a head.
@@ -85,6 +89,10 @@ pub struct Pm100Twin {
     port: TmcPort,
     faults: VecDeque<UsbFault>,
     errors: VecDeque<(i32, &'static str)>,
+    /// Standard events since they were last read: 128 power on, 32 command, 16 execution, 4 query error, 1 done.
+    events: u8,
+    /// What `READ?` and `INIT` measure.
+    quantity: Quantity,
     /// Settings that are only kept, by pattern.
     kept: BTreeMap<&'static str, String>,
     wavelength: f64,
@@ -107,6 +115,7 @@ impl Pm100Spec {
     pub fn new(serial: &str) -> Pm100Spec {
         Pm100Spec {
             model: Pm100Model::Pm100D,
+            maker: "THORLABS".to_owned(),
             serial: serial.to_owned(),
             head: Some("S120VC,12345,10-Jan-2010,1,1,33".to_owned()),
             power: Arc::new(|_| 1e-3),
@@ -134,6 +143,8 @@ impl Pm100Twin {
             port: TmcPort::new(),
             faults: VecDeque::new(),
             errors: VecDeque::new(),
+            events: POWER_ON,
+            quantity: Quantity::Power,
             kept: BTreeMap::new(),
             wavelength: 635.0,
             average: 1,
@@ -179,18 +190,25 @@ impl Pm100Twin {
         self.port.clear();
         self.errors.clear();
         self.preset();
+        self.events = POWER_ON;
         self.wavelength = 635.0;
         self.left_bus = true;
     }
 
     /// `*RST`.
     fn preset(&mut self) {
-        (self.average, self.automatic, self.unit_dbm) = (1, true, false);
+        (self.average, self.automatic, self.unit_dbm, self.quantity) = (1, true, false, Quantity::Power);
         self.kept.clear();
         self.zero_running = None;
     }
 
     fn fault(&mut self, code: i32, text: &'static str) {
+        self.events |= match code {
+            -199..=-100 => 32,
+            -299..=-200 => 16,
+            -499..=-400 => 4,
+            _ => 8,
+        };
         if self.errors.len() < MOST_ERRORS {
             self.errors.push_back((code, text));
         }
@@ -202,7 +220,7 @@ impl Pm100Twin {
         let mut ready = now + ANSWER;
         let mut path = String::new();
         for unit in scpi::units(text) {
-            let answer = self.execute(&unit, &mut path, &mut ready);
+            let answer = self.execute(&unit, &mut path, now, &mut ready);
             answers.extend(answer);
         }
         if !answers.is_empty() {
@@ -215,7 +233,7 @@ impl Pm100Twin {
     }
 
     /// Finds the command below the path of the one before it, else from the root.
-    fn execute(&mut self, unit: &Unit, path: &mut String, ready: &mut Instant) -> Option<String> {
+    fn execute(&mut self, unit: &Unit, path: &mut String, now: Instant, ready: &mut Instant) -> Option<String> {
         let below = format!("{path}{}", unit.header);
         let find = |header: &str| COMMANDS.iter().find(|(pattern, _)| scpi::matches(pattern, header));
         let relative = if unit.absolute { None } else { find(&below).map(|found| (found, below.as_str())) };
@@ -227,7 +245,10 @@ impl Pm100Twin {
         if !unit.header.starts_with('*') {
             *path = header.rfind(':').map(|end| header.get(..=end).unwrap_or_default().to_owned()).unwrap_or_default();
         }
-        self.obey(*command, pattern, unit, ready)
+        match (*command, unit.query) {
+            (Command::StatusByte, true) => Some(self.status(now).to_string()),
+            (command, _) => self.obey(command, pattern, unit, ready),
+        }
     }
 
     fn obey(&mut self, command: Command, pattern: &'static str, unit: &Unit, ready: &mut Instant) -> Option<String> {
@@ -235,7 +256,7 @@ impl Pm100Twin {
         match (command, unit.query) {
             (Command::Identify, true) => {
                 let model = ["PM100D", "PM100A", "PM100USB"][self.spec.model as usize];
-                Some(format!("THORLABS,{model},{},2.4.0", self.spec.serial))
+                Some(format!("{},{model},{},2.4.0", self.spec.maker, self.spec.serial))
             }
             (Command::Head, true) => Some(self.spec.head.clone().unwrap_or_else(|| "no sensor".to_owned())),
             (Command::Error, true) => {
@@ -245,24 +266,38 @@ impl Pm100Twin {
             (Command::Constant(value), true) => Some(value.to_owned()),
             (Command::Clear, false) => {
                 self.errors.clear();
+                self.events = 0;
                 None
             }
+            (Command::EventStatus, true) => Some(std::mem::take(&mut self.events).to_string()),
             (Command::Reset, false) => {
                 self.preset();
                 None
             }
-            (Command::Nothing | Command::Configure, false) => None,
-            (Command::Configure, true) => Some("POW".to_owned()),
-            (Command::Measure, true) => {
-                self.automatic = true;
-                Some(self.read(ready))
+            (Command::Nothing, false) => None,
+            (Command::Configure(quantity) | Command::Measure(quantity), false) => {
+                self.quantity = quantity;
+                if matches!(command, Command::Measure(_)) {
+                    self.measure(ready);
+                }
+                None
             }
-            (Command::Measure | Command::Initiate, false) => {
+            (Command::Configured, false) => {
+                self.quantity = Quantity::Power;
+                None
+            }
+            (Command::Configured | Command::Configure(_), true) => Some(self.quantity.name().to_owned()),
+            (Command::Measure(quantity), true) => {
+                self.quantity = quantity;
+                self.automatic |= quantity == Quantity::Power;
+                self.read(ready)
+            }
+            (Command::Initiate, false) => {
                 self.measure(ready);
                 None
             }
-            (Command::Read, true) => Some(self.read(ready)),
-            (Command::Fetch, true) => Some(self.last()),
+            (Command::Read, true) => self.read(ready),
+            (Command::Fetch, true) => self.reading(),
             (Command::Zero, false) => {
                 self.zero_running = Some(*ready + Duration::from_secs(1));
                 None
@@ -272,15 +307,26 @@ impl Pm100Twin {
                 Some(self.kept.get(pattern).cloned().unwrap_or_else(|| default.to_owned()))
             }
             (Command::Kept(_), false) => {
-                match parameter {
-                    Some("ON") => drop(self.kept.insert(pattern, "1".to_owned())),
-                    Some("OFF") => drop(self.kept.insert(pattern, "0".to_owned())),
-                    Some(value) => drop(self.kept.insert(pattern, value.to_owned())),
-                    None => self.fault(-109, "Missing parameter"),
-                }
+                self.keep(pattern, parameter);
                 None
             }
+            (Command::KeptNumber(default, least, most), query) => {
+                let value = self.kept.get(pattern).and_then(|text| text.parse().ok()).unwrap_or(default);
+                self.numeric(query, parameter, value, (least, most, default), |twin, value| {
+                    twin.kept.insert(pattern, number(value));
+                })
+            }
             _ => self.setting(command, unit.query, parameter),
+        }
+    }
+
+    /// A setting that is only kept.
+    fn keep(&mut self, pattern: &'static str, parameter: Option<&str>) {
+        match parameter {
+            Some("ON") => drop(self.kept.insert(pattern, "1".to_owned())),
+            Some("OFF") => drop(self.kept.insert(pattern, "0".to_owned())),
+            Some(value) => drop(self.kept.insert(pattern, value.to_owned())),
+            None => self.fault(-109, "Missing parameter"),
         }
     }
 
@@ -399,9 +445,28 @@ impl Pm100Twin {
         self.history.push_back(self.last().parse().unwrap_or(f64::NAN));
     }
 
-    fn read(&mut self, ready: &mut Instant) -> String {
+    fn read(&mut self, ready: &mut Instant) -> Option<String> {
         self.measure(ready);
-        self.last()
+        self.reading()
+    }
+
+    /// The last measurement as the quantity that is configured; what a photodiode cannot give is an error.
+    fn reading(&mut self) -> Option<String> {
+        let watts = self.measured;
+        match self.quantity {
+            Quantity::Power => Some(self.last()),
+            Quantity::Current => Some(number(watts * responsivity(self.wavelength))),
+            Quantity::PowerDensity => {
+                let beam = self.kept.get("[SENSe]:CORRection:BEAMdiameter");
+                let diameter_cm = beam.and_then(|text| text.parse::<f64>().ok()).unwrap_or(9.5) / 10.0;
+                Some(number(watts / (std::f64::consts::FRAC_PI_4 * diameter_cm * diameter_cm)))
+            }
+            Quantity::Frequency => Some(number(0.0)),
+            Quantity::Other(_) => {
+                self.fault(-221, "Settings conflict");
+                None
+            }
+        }
     }
 
     fn last(&self) -> String {
@@ -411,7 +476,8 @@ impl Pm100Twin {
 
     fn status(&self, now: Instant) -> u8 {
         let (available, errors) = (self.port.message_available(now), !self.errors.is_empty());
-        u8::from(available) << 4 | u8::from(errors) << 2
+        let mask: u8 = self.kept.get("*ESE").and_then(|text| text.parse().ok()).unwrap_or(0);
+        u8::from(available) << 4 | u8::from(errors) << 2 | u8::from(self.events & mask != 0) << 5
     }
 }
 

@@ -33,6 +33,8 @@ const QUEUE: usize = 64;
 const PATIENCE: Duration = Duration::from_secs(5);
 /// Longest time between two looks at a twin that said "not ready": a fault injected from outside may have changed it.
 const LOOK: Duration = Duration::from_millis(20);
+/// How long an import waits for the host before it, which may just be closing its connection.
+const HANDOVER: Duration = Duration::from_millis(500);
 /// Longest rest without any transfer.
 const IDLE: Duration = Duration::from_secs(1);
 
@@ -177,6 +179,10 @@ impl Inner {
 
     fn import(&self, busid: &str, mut stream: TcpStream) -> io::Result<()> {
         let host = stream.try_clone()?;
+        let latest = Instant::now() + HANDOVER;
+        while self.ports().get(busid).is_some_and(|p| p.host.is_some()) && Instant::now() < latest {
+            std::thread::sleep(Duration::from_millis(5));
+        }
         let taken = {
             let mut ports = self.ports();
             match ports.get_mut(busid) {
