@@ -192,7 +192,7 @@ async fn pyvisa_drives_wheel_and_shutter() {
         &[
             r#""*idn?\rTHORLABS FW102C/FW212C Filter Wheel version 1.07\r", "pcount?\r12\r", "speed=1\r", "pos=4\r""#,
             r#""pos?\r4\r", "pos=13\rCommand error CMD_ARG_INVALID\r", "Pos?\rCommand error CMD_NOT_DEFINED\r""#,
-            r#""id?\rTHORLABS SC10 VERSION 1.07\r", "mode=3\r", "open=250\r", "ens\r", "ens?\r1\r", "closed?\r0\r""#,
+            r#""id?\rTHORLABS SC10 VERSION 1.07\r", "mode=3\r", "open=3000\r", "ens\r", "ens?\r1\r", "closed?\r0\r""#,
             r#""single": "closed?\r1\r""#,
         ],
     );
@@ -229,7 +229,7 @@ async fn visa_programs_drive_the_power_meter() {
             r#""parts": 41, "#,
             r#""-113,\"Undefined header\"""#,
             r#""late": "VI_ERROR_TMO", "again": [true, "THORLABS,PM100D,P0001234,2.4.0"]"#,
-            r#""thorlabs": [550.0, 25.4, 1, "S120VC", "POW"], "read": 0.001000"#,
+            r#""thorlabs": [550.0, 25.4, 1, "S120VC", "POW"], "read": 0.00"#,
             r#""pymeasure": ["S120VC", 600.0, 1100.0, "#,
         ],
     );

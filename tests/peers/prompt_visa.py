@@ -21,7 +21,7 @@ def ask(link, text):
 with session(sys.argv[1], 115_200) as wheel:
     found["wheel"] = [ask(wheel, q) for q in ("*idn?", "pcount?", "speed=1", "pos=4", "pos?", "pos=13", "Pos?")]
 with session(sys.argv[2], 9600) as shutter:
-    found["shutter"] = [ask(shutter, q) for q in ("id?", "mode=3", "open=250", "ens", "ens?", "closed?")]
+    found["shutter"] = [ask(shutter, q) for q in ("id?", "mode=3", "open=3000", "ens", "ens?", "closed?")]
     while ask(shutter, "ens?") == "ens?\r1\r":
         pass
     found["single"] = ask(shutter, "closed?")

@@ -5,6 +5,8 @@ import time
 
 from labdevices.newport import SMC100
 
+# A busy machine may take longer than the tenth of a second that the library grants.
+SMC100.defaults["timeout"] = 5000
 stage = SMC100(sys.argv[1])
 stage.initialize()
 found = {"idn": stage.idn, "state": stage.error_and_controller_status()}

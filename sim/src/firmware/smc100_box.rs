@@ -201,7 +201,7 @@ impl SmcBox {
             "PW" if value == "?" => one(format!("PW{}", u8::from(self.state == state::CONFIGURATION))),
             "PA" if value == "?" => one(format!("PA{}", decimal(self.target))),
             "PT" => {
-                let distance: f64 = value.parse().map_err(|_| 'C')?;
+                let distance = finite(value)?;
                 let mut trial = Track::at_rest(0.0, now);
                 trial.go(now, distance.abs(), self.get("VA"), self.get("AC"));
                 let seconds = trial.end().map_or(0.0, |end| (end - now).as_secs_f64());
@@ -235,7 +235,7 @@ impl SmcBox {
         if value == "?" {
             return Ok(vec![format!("{name}{}", decimal(self.get(name)))]);
         }
-        let number: f64 = value.parse().map_err(|_| 'C')?;
+        let number = finite(value)?;
         if number < low || number > high {
             return Err('C');
         }
@@ -291,7 +291,7 @@ impl SmcBox {
                 self.silent_until = Some(now + FLASH);
             }
             ("PA" | "PR", _) if self.ready() => {
-                let number: f64 = value.parse().map_err(|_| 'C')?;
+                let number = finite(value)?;
                 let target = if name == "PR" { self.target + number } else { number };
                 if !(self.get("SL")..=self.get("SR")).contains(&target) {
                     return Err('G');
@@ -361,6 +361,11 @@ fn refusal(state: u8) -> char {
         state::DISABLED..=0x3E => 'J',
         _ => 'D',
     }
+}
+
+/// A value; what is none is a parameter missing or out of range.
+fn finite(text: &str) -> Result<f64, char> {
+    text.parse().ok().filter(|value: &f64| value.is_finite()).ok_or('C')
 }
 
 /// A decimal with at most six places.

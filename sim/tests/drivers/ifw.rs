@@ -69,6 +69,17 @@ async fn the_twin_speaks_the_worked_exchange() {
         let line = link.until(b'\r', Instant::now() + Duration::from_secs(40)).await.unwrap().unwrap();
         assert_eq!(String::from_utf8(line).unwrap(), format!("{reply}\n"), "{request}");
     }
+    link.send(b"WSMODE\n\rWHOME\n\r").await.unwrap();
+    for reply in [b"!\n", b"A\n"] {
+        let line = link.until(b'\r', Instant::now() + Duration::from_secs(40)).await.unwrap().unwrap();
+        assert_eq!(line, reply);
+    }
+    let begun = Instant::now();
+    link.send(b"WGOTO5\n\r").await.unwrap();
+    link.until(b'\r', Instant::now() + Duration::from_secs(40)).await.unwrap().unwrap();
+    assert!((2.0..2.1).contains(&begun.elapsed().as_secs_f64()), "from 1 to 5 of five is one place back");
+    link.send(b"WEXITS\n\r").await.unwrap();
+    link.until(b'\r', Instant::now() + Duration::from_secs(1)).await.unwrap().unwrap();
     link.send(b"WSMODEWFILTR").await.unwrap();
     let line = link.until(b'\r', Instant::now() + Duration::from_secs(1)).await.unwrap().unwrap();
     assert_eq!(line, b"!\n", "a request needs no end");

@@ -116,6 +116,8 @@ async fn the_twin_answers_what_other_programs_send() {
         assert_eq!(say(link, "1TE").await, [format!("1TE{letter}")], "{request}");
     }
     tokio::time::sleep(Duration::from_secs(20)).await;
+    say(link, "1PAnan").await;
+    assert_eq!(say(link, "1TE").await, ["1TEC"]);
     say(link, "1PA800").await;
     assert_eq!(say(link, "1TB?").await, ["1TBG Displacement out of limits"]);
     say(link, "1PA90").await;

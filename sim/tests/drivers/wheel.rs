@@ -200,6 +200,22 @@ async fn make_safe_goes_to_dark_even_from_a_queueing_wheel() {
     assert_eq!(place(&bench), Some(12));
 }
 
+/// Programs that do not wait for the prompt ask while the wheel turns.
+#[tokio::test(start_paused = true)]
+async fn a_queueing_wheel_takes_up_what_came_in_the_turn_after_its_prompt() {
+    let mut spec = TwinsSpec::with_serials("1", "2", "3");
+    spec.wheel.queues_input = true;
+    let bench = bench_of(spec);
+    let clock = Clock::system();
+    let mut link = bench.twins.wheel.connector(clock).connect().await.unwrap();
+    link.send(b"pos=9\r").await.unwrap();
+    link.send(b"pos?\r").await.unwrap();
+    for reply in ["pos=9\r", "pos?\r9\r"] {
+        let text = link.prompt(clock.now() + Duration::from_secs(10)).await.unwrap().unwrap();
+        assert_eq!(String::from_utf8(text).unwrap(), reply);
+    }
+}
+
 #[tokio::test(start_paused = true)]
 async fn another_device_on_the_port_is_named() {
     let bench = bench();

@@ -19,7 +19,7 @@ use std::io::{self, BufReader, Write};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream, ToSocketAddrs};
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::time::Instant;
 use transfers::Transfers;
@@ -46,6 +46,8 @@ pub struct UsbIpServer {
 
 struct Inner {
     ports: Mutex<BTreeMap<String, Port>>,
+    /// A host has given a device back.
+    freed: Condvar,
     stop: AtomicBool,
     connections: AtomicUsize,
     /// Counts imports, so that the end of an old one does not end a new one.
@@ -75,6 +77,7 @@ impl UsbIpServer {
         let address = listener.local_addr()?;
         let inner = Arc::new(Inner {
             ports: Mutex::default(),
+            freed: Condvar::new(),
             stop: AtomicBool::new(false),
             connections: AtomicUsize::new(0),
             imports: AtomicU64::new(0),
@@ -179,12 +182,10 @@ impl Inner {
 
     fn import(&self, busid: &str, mut stream: TcpStream) -> io::Result<()> {
         let host = stream.try_clone()?;
-        let latest = Instant::now() + HANDOVER;
-        while self.ports().get(busid).is_some_and(|p| p.host.is_some()) && Instant::now() < latest {
-            std::thread::sleep(Duration::from_millis(5));
-        }
         let taken = {
-            let mut ports = self.ports();
+            let has_host = |ports: &mut BTreeMap<String, Port>| ports.get(busid).is_some_and(|p| p.host.is_some());
+            let waited = self.freed.wait_timeout_while(self.ports(), HANDOVER, has_host);
+            let (mut ports, _) = waited.unwrap_or_else(PoisonError::into_inner);
             match ports.get_mut(busid) {
                 None => Err(wire::STATUS_NO_DEVICE),
                 Some(port) if port.host.is_some() => Err(wire::STATUS_BUSY),
@@ -213,6 +214,7 @@ impl Inner {
         if let Some(port) = port.filter(|p| p.import == import) {
             port.host = None;
         }
+        self.freed.notify_all();
         carried
     }
 
