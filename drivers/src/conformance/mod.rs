@@ -49,7 +49,8 @@ pub struct Finding {
 pub const SAFE: [Check; 8] = [IDENTITY, HEALTH, LIMITS, REFUSALS, STATE, COMMANDS, DROPPED, SAFE_STATE];
 
 /// It says who it is.
-pub const IDENTITY: Check = Check { name: "identity", promise: "opens, names itself, and is the same when opened again" };
+pub const IDENTITY: Check =
+    Check { name: "identity", promise: "opens, names itself, and is the same when opened again" };
 /// It says how it is.
 pub const HEALTH: Check = Check { name: "health", promise: "answers a harmless question, twice" };
 /// Its limits make sense.
@@ -60,13 +61,16 @@ pub const REFUSALS: Check =
 /// It says where it stands.
 pub const STATE: Check = Check { name: "state", promise: "says where it stands, or that it does not know" };
 /// It does what it is told.
-pub const COMMANDS: Check =
-    Check { name: "commands", promise: "carries every order of its contract out, says the same when asked, and comes back" };
+pub const COMMANDS: Check = Check {
+    name: "commands",
+    promise: "carries every order of its contract out, says the same when asked, and comes back",
+};
 /// A call that is dropped leaves nothing behind.
 pub const DROPPED: Check =
     Check { name: "dropped calls", promise: "a call given up on its way leaves nothing behind for the next" };
 /// It can be made safe.
-pub const SAFE_STATE: Check = Check { name: "safe state", promise: "is brought into its safe state, and answers afterwards" };
+pub const SAFE_STATE: Check =
+    Check { name: "safe state", promise: "is brought into its safe state, and answers afterwards" };
 
 // === impl Verdict ===
 

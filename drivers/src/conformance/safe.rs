@@ -60,7 +60,11 @@ pub async fn check(subject: &mut Subject, clock: Clock, report: &mut dyn FnMut(&
 // === impl Hand ===
 
 impl Hand<'_> {
-    async fn call<T>(clock: Clock, what: &str, call: impl Future<Output = Result<T>>) -> std::result::Result<T, String> {
+    async fn call<T>(
+        clock: Clock,
+        what: &str,
+        call: impl Future<Output = Result<T>>,
+    ) -> std::result::Result<T, String> {
         match clock.timeout(PATIENCE, call).await {
             Ok(result) => result.map_err(|e| format!("{what}: {e}")),
             Err(_) => Err(format!("{what} did not end within {} s: it has no deadline of its own", PATIENCE.as_secs())),
@@ -83,9 +87,9 @@ impl Hand<'_> {
 
     async fn health(&mut self) -> Course {
         let mut health = Self::call(self.clock, "asking its health", self.subject.device().health()).await?;
-        health = Self::call(self.clock, "asking its health again", self.subject.device().health()).await.or(Err(
-            format!("it was well ({:?}) and does not answer when asked again", health.warnings),
-        ))?;
+        health = Self::call(self.clock, "asking its health again", self.subject.device().health())
+            .await
+            .or(Err(format!("it was well ({:?}) and does not answer when asked again", health.warnings)))?;
         Ok(if health.warnings.is_empty() { "well".into() } else { format!("says: {}", health.warnings.join(", ")) })
     }
 

@@ -49,7 +49,8 @@ pub struct Conduct {
 pub const WRONG_DEVICE: Check =
     Check { name: "another device", promise: "refuses another unit and every other device of the table on its port" };
 /// Nothing happens before it is opened.
-pub const CLOSED: Check = Check { name: "before opening", promise: "sends nothing and says nothing before it is opened" };
+pub const CLOSED: Check =
+    Check { name: "before opening", promise: "sends nothing and says nothing before it is opened" };
 /// Nothing is sent for what is refused.
 pub const NOTHING_SENT: Check = Check { name: "nothing sent", promise: "sends no byte for an order that it refuses" };
 /// Power-up leaves it unknown.
@@ -73,7 +74,8 @@ pub const GARBLED: Check = Check { name: "garbled", promise: "an answer with a w
 pub const DOUBLED: Check =
     Check { name: "doubled", promise: "an answer that comes twice, so that every later one is off by one" };
 /// The previous answer.
-pub const PREVIOUS: Check = Check { name: "previous", promise: "the answer to the request before instead of this one's" };
+pub const PREVIOUS: Check =
+    Check { name: "previous", promise: "the answer to the request before instead of this one's" };
 /// Junk.
 pub const JUNK: Check = Check { name: "junk", promise: "junk on the line when it is opened, and before any answer" };
 /// A restart in mid-command.
@@ -83,13 +85,28 @@ pub const RESTART: Check =
 pub const UNPLUG: Check =
     Check { name: "unplug", promise: "pulled out in a command it is lost, and found again under another name" };
 /// Noise.
-pub const NOISE: Check = Check { name: "noise", promise: "random commands while answers are disturbed: nothing wrong is said" };
+pub const NOISE: Check =
+    Check { name: "noise", promise: "random commands while answers are disturbed: nothing wrong is said" };
 
 /// All checks of the suite in their order: the safe ones first.
 pub fn checks() -> Vec<Check> {
     let wired = [
-        WRONG_DEVICE, CLOSED, NOTHING_SENT, POWER_UP, BUSY, SILENCE, LATE, LOST, CUT, GARBLED, DOUBLED, PREVIOUS, JUNK,
-        RESTART, UNPLUG, NOISE,
+        WRONG_DEVICE,
+        CLOSED,
+        NOTHING_SENT,
+        POWER_UP,
+        BUSY,
+        SILENCE,
+        LATE,
+        LOST,
+        CUT,
+        GARBLED,
+        DOUBLED,
+        PREVIOUS,
+        JUNK,
+        RESTART,
+        UNPLUG,
+        NOISE,
     ];
     SAFE.into_iter().chain(wired).collect()
 }

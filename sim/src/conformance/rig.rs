@@ -79,7 +79,13 @@ pub fn stand(driver: &Driver, unit: Unit) -> Result<Option<Box<dyn Stand>>> {
         Make::Holder(_) => Box::new(SerialStand::new(with(spec, 0)?.holder(now), truth::holder())),
         Make::FilterWheel(_) => {
             let places = places(driver.name);
-            spec.wheel.places = if ours { places } else if places == 12 { 6 } else { 5 };
+            spec.wheel.places = if ours {
+                places
+            } else if places == 12 {
+                6
+            } else {
+                5
+            };
             Box::new(SerialStand::new(with(spec, 1)?.wheel(now), truth::wheel()))
         }
         Make::Shutter(_) if !ours => return Ok(None),

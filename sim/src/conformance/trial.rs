@@ -39,7 +39,7 @@ impl Trial {
     ///
     /// # Errors
     /// There is no such rig.
-    pub fn new(make: &MakeRig) -> std::result::Result<Trial, Violation> {
+    pub fn new(make: &MakeRig<'_>) -> std::result::Result<Trial, Violation> {
         let rig = make(Unit::Ours).ok_or("the driver has no twin")?;
         Ok(Trial { rig, clock: Clock::system(), orders: Vec::new(), next: 0 })
     }
@@ -48,7 +48,7 @@ impl Trial {
     ///
     /// # Errors
     /// It is not opened without any fault.
-    pub async fn ready(make: &MakeRig) -> std::result::Result<Trial, Violation> {
+    pub async fn ready(make: &MakeRig<'_>) -> std::result::Result<Trial, Violation> {
         let mut trial = Trial::new(make)?;
         if let Err(error) = trial.open().await? {
             return Err(format!("it is not opened: {error}"));
@@ -148,7 +148,8 @@ impl Trial {
             }
             if matches!(self.rig.subject, Subject::Axis(_)) && matches!(self.tell().await?, Ok(None)) {
                 let home = self.rig.subject.reference();
-                last = Self::call(self.clock, "finding the reference", home).await?.err().or(last);
+                // An axis that found none refuses the order that follows, and says why.
+                let _ = Self::call(self.clock, "finding the reference", home).await?;
             }
             let order = self.another_order();
             match self.order(&order).await? {

@@ -92,7 +92,8 @@ fn subject(hand: Hand) -> Subject {
 
 fn write(report: &Report, file: &std::path::Path) -> Result<(), Failure> {
     let storage = |e: &dyn std::fmt::Display| {
-        let what = format!("{}: the report cannot be written ({e}); name a file in a folder that exists", file.display());
+        let what =
+            format!("{}: the report cannot be written ({e}); name a file in a folder that exists", file.display());
         Failure::new(Exit::Storage, what)
     };
     let text = serde_json::to_string_pretty(report).map_err(|e| storage(&e))?;
