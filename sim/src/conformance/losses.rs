@@ -81,7 +81,9 @@ pub async fn junk(make: &MakeRig<'_>) -> Result<String, Violation> {
             match before {
                 0 => trial.rig.stand.line().junk(bytes),
                 n => {
-                    (1..n).for_each(|_| drop(trial.rig.stand.disturb(WireFault::Pass)));
+                    for _ in 1..n {
+                        trial.rig.stand.disturb(WireFault::Pass);
+                    }
                     trial.rig.stand.disturb(WireFault::Junk(bytes.to_vec()));
                 }
             }

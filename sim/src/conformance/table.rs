@@ -9,7 +9,9 @@ use std::fmt::Write;
 pub fn markdown(checks: &[Check], conducts: &[Conduct]) -> String {
     let mut reasons: BTreeMap<String, char> = BTreeMap::new();
     let mut text = String::from("| check |");
-    conducts.iter().for_each(|c| drop(write!(text, " {} |", c.driver)));
+    for conduct in conducts {
+        let _ = write!(text, " {} |", conduct.driver);
+    }
     text.push_str("\n|---|");
     conducts.iter().for_each(|_| text.push_str(":-:|"));
     for check in checks {
@@ -31,8 +33,12 @@ pub fn markdown(checks: &[Check], conducts: &[Conduct]) -> String {
     text.push_str("\n\n`+` passed. Does not apply:\n");
     let mut told: Vec<(&char, &String)> = reasons.iter().map(|(why, letter)| (letter, why)).collect();
     told.sort();
-    told.iter().for_each(|(letter, why)| drop(write!(text, "\n- {letter}: {why}")));
+    for (letter, why) in told {
+        let _ = write!(text, "\n- {letter}: {why}");
+    }
     text.push_str("\n\n| check | what holds |\n|---|---|\n");
-    checks.iter().for_each(|check| drop(writeln!(text, "| {} | {} |", check.name, check.promise)));
+    for check in checks {
+        let _ = writeln!(text, "| {} | {} |", check.name, check.promise);
+    }
     text
 }

@@ -65,7 +65,7 @@ enum Command {
     Status(status::Args),
     /// Look at, move or read one device by hand.
     Device(device::Args),
-    /// Try one device: does it keep its contract? It is moved a little, and asked about first.
+    /// Try whether one device keeps its contract; asks before anything moves.
     Conform(conform::Args),
     /// Make the bench safe, past everything else; the queue is then held.
     Safe(safe::Args),
