@@ -162,10 +162,13 @@ fn nothing_moves_without_consent_and_a_device_that_fails_says_where() {
     let said = conform("tilt", &["--yes", "--report", "/no/such/folder/report.json"]);
     assert_eq!(said.code, 6, "{}", said.err);
     assert!(said.err.contains("/no/such/folder/report.json"), "{}", said.err);
-    lab.edit("instrument.sim.toml", &[("serial = \"11042\"", "serial = \"7777\"")], true);
-    let said = conform("monochromator", &["--yes"]);
+    // Another device stands on its port.
+    let lab = Lab::small();
+    lab.edit("instrument.sim.toml", &[("port = \"sim:monochromator\"", "port = \"sim:light-monitor\"")], true);
+    let instrument = text(&lab.instrument());
+    let said = lab.goniod(&["conform", "monochromator", "--instrument", &instrument, "--json", "--yes"]);
     assert_eq!(said.code, 5, "{}{}", said.out, said.err);
     let report = said.json();
     assert_eq!((&report["conforms"], &report["findings"][0]["verdict"]), (&false.into(), &"failed".into()), "{report}");
-    assert!(report["findings"][0]["note"].as_str().unwrap().contains("7777"), "{report}");
+    assert!(report["findings"][0]["note"].as_str().unwrap().contains("no exact answer to ECHO"), "{report}");
 }

@@ -21,6 +21,8 @@ struct State {
     junk: Vec<u8>,
     /// The power fails at this request from now, counted from 0.
     restart_at: Option<u64>,
+    /// The next request is lost.
+    lose: bool,
 }
 
 /// A twin behind a watched line; clones are the same twin, so that it can stand behind several ports.
@@ -56,6 +58,16 @@ impl Line {
     /// The power fails at this request from now, counted from 0; the request gets no answer.
     pub fn restart_at(&self, request: Option<u64>) {
         self.state().restart_at = request;
+    }
+
+    /// The next request is lost on its way; false when one is about to be lost already.
+    pub fn lose_request(&self) -> bool {
+        !std::mem::replace(&mut self.state().lose, true)
+    }
+
+    /// True when this request is lost on its way.
+    fn loses(&self) -> bool {
+        std::mem::take(&mut self.state().lose)
     }
 
     /// Counts a request; true when the power fails at it.
@@ -123,7 +135,9 @@ impl<T: Firmware> Firmware for Watched<T> {
         if self.line.request() {
             return (self.restart)(&mut self.twin(), now);
         }
-        self.twin().receive(bytes, now);
+        if !self.line.loses() {
+            self.twin().receive(bytes, now);
+        }
     }
 
     fn due(&self) -> Option<Instant> {

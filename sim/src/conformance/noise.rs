@@ -21,7 +21,7 @@ pub struct Counts {
     pub done: u64,
     /// Requests that reached the device.
     pub exchanges: u64,
-    /// Answers that were disturbed.
+    /// Answers that were disturbed, or orders that were lost.
     pub disturbed: u64,
     /// Things said that were not true, or calls without end.
     pub wrong: u64,
@@ -48,6 +48,10 @@ pub async fn random(make: &MakeRig<'_>, effort: Effort) -> (Verdict, Counts) {
         if answers && !trial.rig.stand.disturbed() {
             disturb(&trial, &mut draw);
             counts.disturbed += 1;
+        }
+        if !answers && draw.below(2) == 0 {
+            // No answer to disturb: the order itself is lost.
+            counts.disturbed += u64::from(trial.rig.stand.line().lose_request());
         }
         counts.commands += 1;
         match command(&mut trial, &mut draw).await {

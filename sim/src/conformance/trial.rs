@@ -4,7 +4,7 @@ use super::rig::{Rig, Unit};
 use goniod_drivers::clock::Clock;
 use goniod_drivers::conformance::{PATIENCE, Subject, Value};
 use goniod_drivers::contract::Identity;
-use goniod_drivers::error::{DeviceError, ErrorKind, Result};
+use goniod_drivers::error::{DeviceError, Result};
 use std::future::Future;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -162,7 +162,8 @@ impl Trial {
     }
 }
 
-/// True for an error that tells of another device.
-pub fn is_refusal(error: &DeviceError) -> bool {
-    matches!(error.kind, ErrorKind::WrongDevice)
+/// True for the same device. A firmware that was not told is no other firmware.
+pub fn same(ours: &Identity, told: &Identity) -> bool {
+    let firmware = told.firmware.is_empty() || told.firmware == ours.firmware;
+    ours.model == told.model && ours.serial == told.serial && firmware
 }

@@ -1,6 +1,6 @@
 //! One disturbed answer, of each sort, at each request of a command and of an opening.
 
-use super::trial::{MakeRig, Trial, Violation};
+use super::trial::{MakeRig, Trial, Violation, same};
 use super::{CUT, DOUBLED, GARBLED, LATE, LOST, PREVIOUS};
 use crate::firmware::WireFault;
 use goniod_drivers::conformance::{Check, Verdict};
@@ -69,7 +69,7 @@ async fn course(make: &MakeRig<'_>, faults: &[WireFault]) -> Result<String, Viol
                 }
             }
             match opened {
-                Ok(identity) if identity == ours => {}
+                Ok(identity) if same(&ours, &identity) => {}
                 Ok(identity) => return Err(place(format!("it is taken for {identity:?}"))),
                 Err(error) => return Err(place(format!("it is not opened any more: {error}"))),
             }
