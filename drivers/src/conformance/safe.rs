@@ -154,10 +154,11 @@ impl Hand<'_> {
     }
 
     async fn ask(&mut self) -> std::result::Result<Option<Value>, String> {
-        // A monochromator that came from nowhere says so by refusing.
-        match Self::call(self.clock, "asking its state", self.subject.state()).await {
-            Err(_) if matches!(self.subject, Subject::Monochromator(_)) => Ok(None),
-            other => other,
+        // What was never ordered is unknown: a camera without settings says so by refusing.
+        match self.clock.timeout(PATIENCE, self.subject.state()).await {
+            Ok(Err(error)) if error.kind == ErrorKind::Refused => Ok(None),
+            Ok(result) => result.map_err(|e| format!("asking its state: {e}")),
+            Err(_) => Err(format!("asking its state did not end within {} s", PATIENCE.as_secs())),
         }
     }
 
