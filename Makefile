@@ -5,7 +5,7 @@ GONIOD := target/debug/goniod
 FEATURES ?= --all-features
 RUNS ?= runs/demo
 
-.PHONY: demo test hil check setup setup-python build validate bench soak soak-cameras clean
+.PHONY: demo test hil check setup setup-python build validate bench soak soak-cameras soak-devices clean
 
 ## Measure a simulated sample and show where the products are.
 demo: build
@@ -36,6 +36,10 @@ bench: setup
 soak-cameras: setup setup-python
 	GONIOD_FULL=1 cargo test -p goniod-drivers $(FEATURES) --test v4l2 -- --nocapture
 	GONIOD_FULL=1 cargo test -p goniod-sim $(FEATURES) --test gige -- --nocapture
+
+## Every driver on its twin with the full counts (docs/devices.md): 10,000 random commands each, 1,000,000 noisy exchanges over all.
+soak-devices: setup
+	GONIOD_FULL=1 cargo test -p goniod-sim $(FEATURES) --test conformance -- --nocapture
 
 ## Two thousand nights with faults, where CI runs two hundred.
 soak: setup

@@ -8,9 +8,9 @@ mod common;
 use common::{Lab, root, text};
 use std::fs;
 
-const COMMANDS: [&str; 18] = [
+const COMMANDS: [&str; 19] = [
     "check", "plan", "run", "rehearse", "resume", "reduce", "export", "report", "verify", "status", "serve", "queue",
-    "watch", "pause", "stop", "abort", "safe", "device",
+    "watch", "pause", "stop", "abort", "safe", "device", "conform",
 ];
 
 const SCAN: &str = r#"

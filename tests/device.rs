@@ -129,3 +129,46 @@ fn a_rehearsal_reads_the_lamp_through_the_monitor() {
         .collect();
     assert!(!powers.is_empty() && powers.iter().all(|p| (p / 1e-3 - 1.0).abs() < 0.01), "{powers:?}");
 }
+
+/// The safe part of the conformance suite, on every device of the bench, through the same table and file as a run.
+#[test]
+fn every_device_of_the_bench_keeps_its_contract() {
+    let lab = lab();
+    let instrument = text(&lab.instrument());
+    for name in ["tilt", "filter_wheel", "shutter", "light_monitor", "monochromator", "ccd", "ingaas"] {
+        let file = lab.path("conform.json");
+        let said = lab.goniod(&["conform", name, "--yes", "--instrument", &instrument, "--report", &text(&file)]);
+        assert_eq!(said.code, 0, "{name}: {}{}", said.out, said.err);
+        assert!(said.out.contains(&format!("{name} (")) && said.out.contains(") conforms"), "{name}: {}", said.out);
+        let report: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(&file).unwrap()).unwrap();
+        let findings = report["findings"].as_array().unwrap();
+        assert!(findings.len() == 8 && findings.iter().all(|f| f["verdict"] != "failed"), "{name}: {report}");
+        assert_eq!(findings[0]["verdict"], "passed", "{report}");
+    }
+}
+
+#[test]
+fn nothing_moves_without_consent_and_a_device_that_fails_says_where() {
+    let lab = lab();
+    let instrument = text(&lab.instrument());
+    let conform = |name: &str, more: &[&str]| {
+        lab.goniod(&[&["conform", name, "--instrument", &instrument, "--json"], more].concat())
+    };
+    let said = conform("tilt", &[]);
+    assert_eq!(said.code, 10, "{}{}", said.out, said.err);
+    assert!(said.err.contains("nothing was sent") && said.err.contains("--yes"), "{}", said.err);
+    assert_eq!(conform("light_monitor", &[]).code, 0, "what does not move needs no consent");
+    assert_eq!(conform("tiltt", &["--yes"]).code, 2);
+    let said = conform("tilt", &["--yes", "--report", "/no/such/folder/report.json"]);
+    assert_eq!(said.code, 6, "{}", said.err);
+    assert!(said.err.contains("/no/such/folder/report.json"), "{}", said.err);
+    // Another device stands on its port.
+    let lab = Lab::small();
+    lab.edit("instrument.sim.toml", &[("port = \"sim:monochromator\"", "port = \"sim:light-monitor\"")], true);
+    let instrument = text(&lab.instrument());
+    let said = lab.goniod(&["conform", "monochromator", "--instrument", &instrument, "--json", "--yes"]);
+    assert_eq!(said.code, 5, "{}{}", said.out, said.err);
+    let report = said.json();
+    assert_eq!((&report["conforms"], &report["findings"][0]["verdict"]), (&false.into(), &"failed".into()), "{report}");
+    assert!(report["findings"][0]["note"].as_str().unwrap().contains("no exact answer to ECHO"), "{report}");
+}

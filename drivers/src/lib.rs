@@ -8,8 +8,10 @@
 //! - [`transport`]: byte links (serial port, in-memory pipe), the framings spoken over them, and USB pipes
 //! - [`devices`]: the drivers, one file each
 //! - [`table`]: the driver table, one line a driver
+//! - [`conformance`]: what every driver must do, as checks that speak only to the contract
 
 pub mod clock;
+pub mod conformance;
 pub mod contract;
 pub mod devices;
 pub mod error;

@@ -3,13 +3,14 @@
 //!
 //! - [`bench`]: a whole bench from its files; [`truth`]: its optics, samples and the true answers
 //! - [`firmware`]: devices as state machines; [`front`]: how they reach a link; [`twins`]: all of them together
-//! - [`faults`]: what may go wrong, as a seeded plan
+//! - [`faults`]: what may go wrong, as a seeded plan; [`conformance`]: what every driver must bear
 //! - [`gige`]: a GigE Vision camera on loopback; [`uvc`]: a USB camera, for the real drivers; [`scene`]: what they photograph
 //! - [`camera`], [`stream`]: cameras with their latency and queues
 //! - [`paint`], [`oracle`]: the true state in the pixels, written and read; [`pose`]: what it consists of
 
 pub mod bench;
 pub mod camera;
+pub mod conformance;
 pub mod faults;
 pub mod firmware;
 pub mod front;

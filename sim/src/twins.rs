@@ -112,7 +112,8 @@ impl TwinsSpec {
         Ok(self)
     }
 
-    fn holder(&self, now: Instant) -> HolderTwin {
+    /// The holder, powered up at `now`.
+    pub fn holder(&self, now: Instant) -> HolderTwin {
         let esp = |s: &ZaberStage| EspStage { start_deg: s.start_deg, ..EspStage::new(&s.serial) };
         let smc = |(n, s): (usize, &ZaberStage)| SmcStage {
             start_deg: s.start_deg,
@@ -130,14 +131,16 @@ impl TwinsSpec {
         }
     }
 
-    fn wheel(&self, now: Instant) -> WheelTwin {
+    /// The filter wheel, powered up at `now`.
+    pub fn wheel(&self, now: Instant) -> WheelTwin {
         match self.drivers[1].as_str() {
             "optec-ifw" => WheelTwin::Ifw(IfwTwin::new(self.wheel.places, now)),
             _ => WheelTwin::Fw212c(Fw212cTwin::new(self.wheel.clone(), now)),
         }
     }
 
-    fn shutter(&self, now: Instant) -> ShutterTwin {
+    /// The shutter, powered up at `now`.
+    pub fn shutter(&self, now: Instant) -> ShutterTwin {
         match self.drivers[2].as_str() {
             "uniblitz-vcm-d1" => ShutterTwin::OpenLoop(OpenShutterTwin::new(Listener::Uniblitz, now)),
             "lcus-relay" => ShutterTwin::OpenLoop(OpenShutterTwin::new(Listener::Relay, now)),

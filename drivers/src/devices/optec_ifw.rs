@@ -244,6 +244,15 @@ impl OptecIfw {
         Err(self.error(ErrorKind::Broken, what))
     }
 
+    /// Version of the firmware, when two answers agree; empty for an old box that does not tell it.
+    async fn firmware(&mut self) -> Result<String> {
+        let first = self.once(Request::Firmware, MODE_LIMIT).await?;
+        let Some(Answer::Text(text)) = &first else { return Ok(String::new()) };
+        let version = text.trim_start_matches("V=").trim().to_owned();
+        let agree = self.once(Request::Firmware, MODE_LIMIT).await? == first;
+        Ok(if agree { version } else { String::new() })
+    }
+
     fn check_open(&self) -> Result<()> {
         if self.open { Ok(()) } else { Err(self.error(ErrorKind::Refused, "the wheel is not open; open it first")) }
     }
@@ -281,10 +290,7 @@ impl Device for OptecIfw {
             );
             return Err(self.error(ErrorKind::WrongDevice, what));
         }
-        let firmware = match self.once(Request::Firmware, MODE_LIMIT).await? {
-            Some(Answer::Text(text)) => text.trim_start_matches("V=").trim().to_owned(),
-            _ => String::new(),
-        };
+        let firmware = self.firmware().await?;
         self.wheel = Some(letter);
         self.open = true;
         Ok(Identity { model: format!("Optec IFW, {places} places"), firmware, serial: format!("wheel {letter}") })

@@ -136,6 +136,11 @@ impl PromptWire {
             let what = format!("the answer {text:?} does not begin with the echo of `{request}`");
             return Err(self.error(ErrorKind::Garbled, what));
         };
+        if text.trim_start_matches([' ', '\0']).contains('\0') {
+            let what =
+                format!("a NUL came with the answer to `{request}`: the device restarted, or the line is disturbed");
+            return Err(self.error(ErrorKind::Garbled, what));
+        }
         self.suspect = false;
         match body.strip_prefix("Command error ") {
             Some(why) => Err(self.error(ErrorKind::Refused, format!("the device rejected `{request}`: {why}"))),

@@ -50,11 +50,10 @@ impl Fw212c {
         Ok(text.parse().ok().filter(|place| (1..=self.config.places).contains(place)))
     }
 
-    /// Asks for the place until it is `place` or the limit passes. A wheel that was seen elsewhere meanwhile turns, so it
-    /// is given time to finish and asked once more.
-    async fn arrived(&mut self, place: u8) -> Result<Option<u8>> {
+    /// Asks for the place until it is `place` or the limit passes. A wheel that was seen elsewhere meanwhile, or whose
+    /// prompt was not its own (`turning`), turns: it is given time to finish and asked once more.
+    async fn arrived(&mut self, place: u8, mut turning: bool) -> Result<Option<u8>> {
         let deadline = self.wire.clock.now() + ARRIVAL_LIMIT;
-        let mut turning = false;
         loop {
             let now = self.read_place().await?;
             if now == Some(place) && turning {
@@ -73,14 +72,16 @@ impl Fw212c {
     async fn turn_to(&mut self, place: u8) -> Result<()> {
         let mut seen = None;
         for _ in 0..MOVE_TRIES {
+            let mut turning = false;
             match self.wire.exchange(&format!("pos={place}"), MOVE_LIMIT).await {
                 Ok(_) => {}
                 Err(error) if matches!(error.kind, ErrorKind::Timeout | ErrorKind::Garbled) => {
                     tracing::warn!(%error, place, "the wheel's answer was lost, asking where it is");
+                    turning = true;
                 }
                 Err(error) => return Err(error),
             }
-            match self.arrived(place).await {
+            match self.arrived(place, turning).await {
                 Ok(now) if now == Some(place) => {
                     self.commanded = Some(place);
                     return Ok(());

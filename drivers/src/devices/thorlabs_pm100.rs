@@ -31,6 +31,8 @@ const READ_TRIES: u32 = 5;
 const MOST_ERRORS: usize = 32;
 /// The device rounds a wavelength; it must come back within this.
 const WAVELENGTH_TOLERANCE_NM: f64 = 0.1;
+/// What any head of the family can be asked for, nanometres; the head in use tells its own limits.
+pub const WAVELENGTHS_NM: (f64, f64) = (100.0, 30_000.0);
 /// SCPI's infinity is 9.9E+37: beyond the range. Assumed on this device.
 const OVERRANGE_W: f64 = 9.0e37;
 
@@ -414,6 +416,12 @@ impl Device for Pm100 {
 impl LightMonitor for Pm100 {
     async fn apply(&mut self, wavelength: Nanometres) -> Result<Nanometres> {
         self.check_open()?;
+        let (low, high) = WAVELENGTHS_NM;
+        if !(low..=high).contains(&wavelength.0) {
+            let what =
+                format!("{wavelength} is no wavelength of any head, {low} to {high} nm is allowed; nothing was sent");
+            return Err(self.error(ErrorKind::Refused, what));
+        }
         let shortest = self.value("SENS:CORR:WAV? MIN", number).await?;
         let longest = self.value("SENS:CORR:WAV? MAX", number).await?;
         if !(shortest..=longest).contains(&wavelength.0) {

@@ -8,6 +8,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stderr, clippy::missing_safety_doc)]
 
 mod bench;
+mod conformance;
 mod faults;
 mod labels;
 mod settings;

@@ -147,6 +147,11 @@ impl Cm110Twin {
         self.drive.moving(at)
     }
 
+    /// True while a fault waits for its occasion.
+    pub fn faults_wait(&self) -> bool {
+        self.outbox.faults_wait()
+    }
+
     /// Lets a fault happen, now or at the next occasion.
     pub fn inject(&mut self, fault: MonochromatorFault, now: Instant) {
         match fault {

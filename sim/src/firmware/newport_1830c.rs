@@ -119,6 +119,16 @@ impl Newport1830cTwin {
         &self.lamp
     }
 
+    /// True while a fault waits for its occasion.
+    pub fn faults_wait(&self) -> bool {
+        self.outbox.faults_wait()
+    }
+
+    /// The wavelength of the correction that is set, in nanometres.
+    pub fn wavelength_nm(&self) -> f64 {
+        f64::from(self.settings.wavelength)
+    }
+
     /// Lets a fault happen, now or at the next occasion.
     pub fn inject(&mut self, fault: MonitorFault, now: Instant) {
         match fault {

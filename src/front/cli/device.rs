@@ -11,6 +11,7 @@ use crate::config::check::check_devices;
 use crate::config::instrument::Instrument;
 use crate::front::bench::by_hand::{ByHand, Entry, Hand, entries};
 use crate::front::bench::is_simulated;
+use crate::front::daemon::lock::Locks;
 use goniod_drivers::clock::Clock;
 use goniod_drivers::error::DeviceError;
 use say::{Listed, Report};
@@ -21,12 +22,28 @@ use std::path::{Path, PathBuf};
 pub struct Args {
     #[command(subcommand)]
     verb: Verb,
+    #[command(flatten)]
+    of: OfInstrument,
+}
+
+/// Which instrument, and what lies in it.
+#[derive(Debug, clap::Args)]
+pub struct OfInstrument {
     /// The instrument file [default: $GONIOD_INSTRUMENT, config/instrument.toml, /etc/goniod/instrument.toml].
     #[arg(long, value_name = "FILE", global = true)]
     instrument: Option<PathBuf>,
     /// Sample in a simulated bench [default: samples/clear_glazing.toml beside the bench's description].
     #[arg(long, value_name = "FILE", global = true)]
     sample: Option<PathBuf>,
+}
+
+/// An instrument that this process has to itself, and the runtime its devices live on.
+pub(super) struct Bench<'a> {
+    of: &'a OfInstrument,
+    path: PathBuf,
+    instrument: Instrument,
+    _held: Locks,
+    runtime: tokio::runtime::Runtime,
 }
 
 #[derive(Debug, clap::Subcommand)]
@@ -57,44 +74,61 @@ enum Verb {
 
 /// Runs the command.
 pub fn run(args: Args, output: &Output) -> Outcome {
-    let path = instrument_path(args.instrument.as_deref())?;
-    let instrument = check_devices(&path, check_options(Clock::system()).today).map_err(bad_input)?;
-    let _held = lock_instrument(&path, &instrument, "goniod device")?;
-    let simulated = is_simulated(&instrument).map_err(|e| Failure::new(exit_of_bench(&e), e.to_string()))?;
-    let mut builder = tokio::runtime::Builder::new_current_thread();
-    // The simulated bench lives in virtual time, as in a rehearsal.
-    let runtime = builder.enable_all().start_paused(simulated).build().map_err(no_runtime)?;
-    let folder = path.parent().unwrap_or(Path::new("")).to_owned();
-    runtime.block_on(async {
-        let clock = Clock::system();
-        let bench = ByHand::new(&instrument, &folder, args.sample.as_deref(), clock);
-        let bench = bench.map_err(|e| Failure::new(exit_of_bench(&e), e.to_string()))?;
-        match args.verb {
-            Verb::List => list(&instrument, &bench, clock, output).await,
-            Verb::Show { name } => {
-                let (entry, mut hand) = take(&instrument, &bench, &name)?;
-                let mut report = open(&entry, &mut hand, clock).await?;
-                work::look(&mut hand, &mut report, clock).await.map_err(device)?;
-                output.result(Exit::Done, &report, || report.text())
-            }
-            Verb::Move { name, to } => {
-                let (entry, mut hand) = take(&instrument, &bench, &name)?;
-                let target = work::Target::of(&instrument, &entry.name, &to).map_err(usage)?;
-                let mut report = open(&entry, &mut hand, clock).await?;
-                work::go(&mut hand, target, &mut report, clock).await.map_err(device)?;
-                output.result(Exit::Done, &report, || report.text())
-            }
-            Verb::Read { name, exposure } => {
-                let (entry, mut hand) = take(&instrument, &bench, &name)?;
-                let exposure =
-                    exposure.map(|s| work::exposure(&instrument, &entry.name, s)).transpose().map_err(usage)?;
-                let gain = instrument.camera.get(&entry.name).map_or(0.0, |camera| camera.gain);
-                let mut report = open(&entry, &mut hand, clock).await?;
-                work::read(&mut hand, (exposure, gain), &mut report, clock).await.map_err(device)?;
-                output.result(Exit::Done, &report, || report.text())
-            }
+    let bench = Bench::of(&args.of, "goniod device")?;
+    bench.with(async |instrument, bench, clock| match args.verb {
+        Verb::List => list(instrument, bench, clock, output).await,
+        Verb::Show { name } => {
+            let (entry, mut hand) = take(instrument, bench, &name)?;
+            let mut report = open(&entry, &mut hand, clock).await?;
+            work::look(&mut hand, &mut report, clock).await.map_err(device)?;
+            output.result(Exit::Done, &report, || report.text())
+        }
+        Verb::Move { name, to } => {
+            let (entry, mut hand) = take(instrument, bench, &name)?;
+            let target = work::Target::of(instrument, &entry.name, &to).map_err(usage)?;
+            let mut report = open(&entry, &mut hand, clock).await?;
+            work::go(&mut hand, target, &mut report, clock).await.map_err(device)?;
+            output.result(Exit::Done, &report, || report.text())
+        }
+        Verb::Read { name, exposure } => {
+            let (entry, mut hand) = take(instrument, bench, &name)?;
+            let exposure = exposure.map(|s| work::exposure(instrument, &entry.name, s)).transpose().map_err(usage)?;
+            let gain = instrument.camera.get(&entry.name).map_or(0.0, |camera| camera.gain);
+            let mut report = open(&entry, &mut hand, clock).await?;
+            work::read(&mut hand, (exposure, gain), &mut report, clock).await.map_err(device)?;
+            output.result(Exit::Done, &report, || report.text())
         }
     })
+}
+
+// === impl Bench ===
+
+impl<'a> Bench<'a> {
+    /// Reads the instrument and takes it for `who`.
+    ///
+    /// # Errors
+    /// A wrong file, an instrument in use, or no runtime.
+    pub(super) fn of(of: &'a OfInstrument, who: &str) -> Result<Bench<'a>, Failure> {
+        let path = instrument_path(of.instrument.as_deref())?;
+        let instrument = check_devices(&path, check_options(Clock::system()).today).map_err(bad_input)?;
+        let _held = lock_instrument(&path, &instrument, who)?;
+        let simulated = is_simulated(&instrument).map_err(|e| Failure::new(exit_of_bench(&e), e.to_string()))?;
+        let mut builder = tokio::runtime::Builder::new_current_thread();
+        // The simulated bench lives in virtual time, as in a rehearsal.
+        let runtime = builder.enable_all().start_paused(simulated).build().map_err(no_runtime)?;
+        Ok(Bench { of, path, instrument, _held, runtime })
+    }
+
+    /// Works with its devices; none is open before.
+    pub(super) fn with(&self, work: impl AsyncFnOnce(&Instrument, &ByHand<'_>, Clock) -> Outcome) -> Outcome {
+        let folder = self.path.parent().unwrap_or(Path::new(""));
+        self.runtime.block_on(async {
+            let clock = Clock::system();
+            let bench = ByHand::new(&self.instrument, folder, self.of.sample.as_deref(), clock);
+            let bench = bench.map_err(|e| Failure::new(exit_of_bench(&e), e.to_string()))?;
+            work(&self.instrument, &bench, clock).await
+        })
+    }
 }
 
 async fn list(instrument: &Instrument, bench: &ByHand<'_>, clock: Clock, output: &Output) -> Outcome {
@@ -113,7 +147,7 @@ async fn list(instrument: &Instrument, bench: &ByHand<'_>, clock: Clock, output:
 }
 
 /// The device of this name, made but not opened.
-fn take(instrument: &Instrument, bench: &ByHand<'_>, name: &str) -> Result<(Entry, Hand), Failure> {
+pub(super) fn take(instrument: &Instrument, bench: &ByHand<'_>, name: &str) -> Result<(Entry, Hand), Failure> {
     let all = entries(instrument);
     let unknown = || {
         let known = all.iter().map(|e| e.name.as_str()).collect::<Vec<_>>().join(", ");

@@ -4,6 +4,7 @@ pub mod exit;
 pub mod output;
 
 mod check;
+mod conform;
 mod daemon;
 mod device;
 mod export;
@@ -64,6 +65,8 @@ enum Command {
     Status(status::Args),
     /// Look at, move or read one device by hand.
     Device(device::Args),
+    /// Try whether one device keeps its contract; asks before anything moves.
+    Conform(conform::Args),
     /// Make the bench safe, past everything else; the queue is then held.
     Safe(safe::Args),
     /// Serve the queue: the daemon.
@@ -120,6 +123,7 @@ fn dispatch(command: Command, output: &Output) -> Outcome {
         Command::Verify(args) => verify::run(args, output),
         Command::Status(args) => status::run(args, output),
         Command::Device(args) => device::run(args, output),
+        Command::Conform(args) => conform::run(args, output),
         Command::Safe(args) => safe::run(args, output),
         Command::Serve(args) => serve::run(args, output),
         Command::Queue(args) => queue::run(args, output),

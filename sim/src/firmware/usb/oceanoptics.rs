@@ -128,6 +128,11 @@ impl OceanTwin {
         }
     }
 
+    /// True while a fault waits for its occasion.
+    pub fn faults_wait(&self) -> bool {
+        !self.query_faults.is_empty() || !self.spectrum_faults.is_empty()
+    }
+
     /// Lets a fault happen, now or at the next occasion.
     pub fn inject(&mut self, fault: OceanFault, now: Instant) {
         match fault {

@@ -160,6 +160,11 @@ impl Pm100Twin {
         }
     }
 
+    /// True while a fault waits for its occasion.
+    pub fn faults_wait(&self) -> bool {
+        !self.faults.is_empty()
+    }
+
     /// Lets a fault happen, now or at the next occasion.
     pub fn inject(&mut self, fault: Pm100Fault) {
         match fault {
