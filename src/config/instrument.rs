@@ -246,7 +246,7 @@ pub struct Monochromator {
 pub struct Spectrometer {
     /// Driver name (`oceanoptics-usb`).
     pub driver: String,
-    /// USB address.
+    /// USB address, or `sim:spectrometer`.
     pub port: String,
     /// Serial number it must report.
     pub serial: String,

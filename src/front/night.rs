@@ -13,6 +13,7 @@ use crate::control::plan::build::build;
 use crate::control::plan::document::{INPUTS, KeptFile, RunDocument};
 use crate::control::plan::forecast::Timing;
 use crate::control::sequencer::layout::layout;
+use crate::control::sequencer::light::LightRules;
 use crate::control::sequencer::recovery::Policies;
 use crate::control::sequencer::run::{Job, Outcome, run};
 use crate::control::sequencer::state::Ending;
@@ -128,6 +129,7 @@ pub async fn measure(
         attempts: Job::ATTEMPTS,
         recovery: Policies::of(&instrument.recovery),
         interlocks: instrument.interlocks.clone(),
+        light: LightRules::of(instrument),
         serials: night.serials.clone(),
     };
     run(&job, &mut opened.bench, Arc::clone(&night.run), clock, verbs, events).await.map_err(storage)
