@@ -1,12 +1,13 @@
 //! `instrument.toml`: devices, ports, geometry, cameras, filter slots, limits, safe state.
 
 use super::daemon::Daemon;
-use super::night::{Interlocks, Recovery};
+use super::night::{Interlocks, Recovery, seconds};
 use goniod_drivers::devices::camera::{AravisTable, V4l2Table};
 use goniod_drivers::frame::PixelFormat;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::time::Duration;
 
 /// The hardware and its settings, as the file says it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -129,7 +130,11 @@ pub struct Axis {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Changer {
-    /// The axis.
+    /// `operator`: a person brings the sample into each place and confirms; absent = an axis of the holder.
+    pub driver: Option<String>,
+    /// How long an operator is waited for before the views that need them are listed as missing.
+    pub confirm_within_s: Option<f64>,
+    /// The axis; for an operator the angles that stand for the places.
     pub axis: Axis,
     /// Angle at which the sample's interior side faces the camera.
     pub sample_deg: f64,
@@ -338,6 +343,21 @@ pub struct SafeState {
     pub order: Vec<String>,
     /// Limit for each.
     pub limit_s: f64,
+}
+
+// === impl Changer ===
+
+impl Changer {
+    /// Driver name of a person as changer.
+    pub const OPERATOR: &'static str = "operator";
+    /// How long an operator is waited for where the file does not say.
+    const CONFIRM_WITHIN_S: f64 = 3600.0;
+
+    /// How long a person who is the changer is waited for; `None` where it is an axis.
+    pub fn operator_within(&self) -> Option<Duration> {
+        let is_operator = self.driver.as_deref() == Some(Self::OPERATOR);
+        is_operator.then(|| seconds(self.confirm_within_s.unwrap_or(Self::CONFIRM_WITHIN_S)))
+    }
 }
 
 // === impl Camera ===

@@ -26,6 +26,8 @@ mod watch;
 #[cfg(test)]
 mod fakes;
 #[cfg(test)]
+mod operator_tests;
+#[cfg(test)]
 mod tests;
 #[cfg(test)]
 mod trouble_tests;

@@ -319,6 +319,12 @@ impl Night<'_> {
     async fn wait_for_lost(&mut self, reasons: &mut BTreeSet<Reason>) -> Option<Ended> {
         let asked = self.listener.take_try_again();
         let lost = self.lost.clone()?;
+        if asked
+            && lost.id == DeviceId::Changer
+            && let Some(desk) = &self.bench.devices.operator
+        {
+            desk.confirm();
+        }
         let (now, state) = (self.stage.clock().now(), self.stage.state());
         if !matches!(state, State::Suspended(ref s) if s.contains(&Reason::DeviceLost)) {
             // First the bench is made safe, as far as it can be reached.

@@ -151,6 +151,10 @@ pub(super) fn twin_ports(instrument: &Instrument) -> Instrument {
     twins.holder.port = "sim:holder".to_owned();
     twins.filter_wheel.port = "sim:filter-wheel".to_owned();
     twins.shutter.port = "sim:shutter".to_owned();
+    if let Some(changer) = &mut twins.holder.changer {
+        // Nobody stands at a simulated bench: the twin's third axis turns the sample.
+        changer.driver = None;
+    }
     if let Some(monitor) = &mut twins.light_monitor {
         monitor.port = "sim:light-monitor".to_owned();
         monitor.driver = "newport-1830c".to_owned();
