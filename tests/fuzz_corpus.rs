@@ -31,8 +31,9 @@ fn broken_requests_are_refused_and_the_daemon_goes_on() {
 /// Each corpus has a target; those of the wires are counted where they are replayed.
 #[test]
 fn every_corpus_is_replayed() {
-    let texts = ["fuzz/targets/protocols.rs", "fuzz/targets/wires.rs", "fuzz/targets/house.rs", "fuzz/targets/requests.rs"]
-        .map(|file| std::fs::read_to_string(PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(file)).unwrap());
+    let texts =
+        ["fuzz/targets/protocols.rs", "fuzz/targets/wires.rs", "fuzz/targets/house.rs", "fuzz/targets/requests.rs"]
+            .map(|file| std::fs::read_to_string(PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(file)).unwrap());
     let all = texts.concat();
     let folders: BTreeSet<String> = std::fs::read_dir(corpus())
         .unwrap()

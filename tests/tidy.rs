@@ -48,7 +48,10 @@ fn production(text: &str) -> &str {
 fn is_test(name: &str) -> bool {
     let file = name.rsplit('/').next().unwrap_or(name);
     let helpers = ["tests.rs", "fakes.rs", "testing.rs", "testdata.rs"];
-    ["tests/", "fuzz/"].iter().any(|room| name.starts_with(room)) || name.contains("/tests/") || file.ends_with("_tests.rs") || helpers.contains(&file)
+    ["tests/", "fuzz/"].iter().any(|room| name.starts_with(room))
+        || name.contains("/tests/")
+        || file.ends_with("_tests.rs")
+        || helpers.contains(&file)
 }
 
 fn report(what: &str, found: Vec<String>) {

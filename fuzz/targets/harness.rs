@@ -20,8 +20,22 @@ pub struct Dice(u64);
 
 /// What breaks number parsers, separators and lengths.
 const NASTY: [&[u8]; 16] = [
-    b"+1", b"-0", b"1e999", b"nan", b"inf", b"99999999999999999999", b"18446744073709551615", b"\xff\xfe", b"\0", b"\r\n", b"\n\r",
-    b":", b",,", b"\xc3\xa9", b"\x80", b" ",
+    b"+1",
+    b"-0",
+    b"1e999",
+    b"nan",
+    b"inf",
+    b"99999999999999999999",
+    b"18446744073709551615",
+    b"\xff\xfe",
+    b"\0",
+    b"\r\n",
+    b"\n\r",
+    b":",
+    b",,",
+    b"\xc3\xa9",
+    b"\x80",
+    b" ",
 ];
 
 // === impl Dice ===

@@ -79,7 +79,8 @@ fn file<T: DeserializeOwned + Serialize>(role: &str, bytes: &[u8]) -> Result<(),
         Ok(loaded) => loaded,
         Err(error) => return told(&error, &text),
     };
-    let written = toml::to_string(&loaded.value).map_err(|e| format!("the {role} that was read cannot be written: {e}"))?;
+    let written =
+        toml::to_string(&loaded.value).map_err(|e| format!("the {role} that was read cannot be written: {e}"))?;
     let again = read(written.clone()).map_err(|e| format!("the {role} that was written cannot be read: {e}"))?;
     same(role, &toml::to_string(&again.value).map_err(|e| e.to_string())?, &written)
 }
@@ -128,8 +129,7 @@ fn journal(bytes: &[u8]) -> Result<(), String> {
     let path = folder().join("journal.sqlite");
     std::fs::write(&path, bytes).map_err(|e| e.to_string())?;
     for writing in [false, true] {
-        let opened =
-            if writing { Journal::open(&path, Arc::new(RealDisk)) } else { Journal::open_read_only(&path) };
+        let opened = if writing { Journal::open(&path, Arc::new(RealDisk)) } else { Journal::open_read_only(&path) };
         let Ok(journal) = opened else { continue };
         let (steps, summary) = (journal.steps(), journal.summary());
         let _ = (journal.value("run_id"), journal.files(), journal.arrays(), journal.frames(), journal.events());
@@ -154,7 +154,8 @@ fn queue_entry(bytes: &[u8]) -> Result<(), String> {
     match (queue.get(7), queue.bad()) {
         (Some(read), []) => {
             let written = serde_json::to_string(read).map_err(|e| e.to_string())?;
-            let again: goniod::front::daemon::entry::Entry = serde_json::from_str(&written).map_err(|e| e.to_string())?;
+            let again: goniod::front::daemon::entry::Entry =
+                serde_json::from_str(&written).map_err(|e| e.to_string())?;
             same("entry", &serde_json::to_string(&again).map_err(|e| e.to_string())?, &written)
         }
         (None, [bad]) if !bad.reason.is_empty() => Ok(()),

@@ -72,7 +72,11 @@ fn esp301_line(bytes: &[u8]) -> Result<(), String> {
     let line = text(bytes);
     if let Some(report) = esp301_protocol::Report::parse(&line) {
         let code = line.split(',').next().unwrap_or_default().trim();
-        same("code", report.0.to_string(), code.trim_start_matches('0').to_owned() + if report.0 == 0 { "0" } else { "" })?;
+        same(
+            "code",
+            report.0.to_string(),
+            code.trim_start_matches('0').to_owned() + if report.0 == 0 { "0" } else { "" },
+        )?;
         let _ = (report.axis(), report.meaning(), report.concerns_all());
     }
     if let Some((model, serial)) = esp301_protocol::stage_id(&line)
@@ -91,7 +95,11 @@ fn smc100_line(bytes: &[u8]) -> Result<(), String> {
     for query in [Query::State, Query::Error, Query::Position, Query::StageId, Query::Velocity, Query::HomeLimit] {
         if let Some(value) = query.value(address, &line) {
             let head = format!("{address}{}", query.words().trim_end_matches('?'));
-            same("reply", line.trim_end().to_owned(), format!("{head}{}", line.trim_end().get(head.len()..).unwrap_or("")))?;
+            same(
+                "reply",
+                line.trim_end().to_owned(),
+                format!("{head}{}", line.trim_end().get(head.len()..).unwrap_or("")),
+            )?;
             if let Some(status) = Status::parse(&value) {
                 same("errors", format!("{:04X}", status.errors), value.get(..4).unwrap_or("").to_ascii_uppercase())?;
                 let _ = status.words();
@@ -188,7 +196,9 @@ fn camera_pixels(bytes: &[u8]) -> Result<(), String> {
     let again: Vec<u8> = match format {
         WireFormat::Mono8 | WireFormat::Bayer(_, 8) => levels.iter().map(|&l| l as u8).collect(),
         WireFormat::Mono12p => pairs(&levels, |a, b| [a as u8, (a >> 8) as u8 | (b << 4) as u8, (b >> 4) as u8]),
-        WireFormat::Mono12Packed => pairs(&levels, |a, b| [(a >> 4) as u8, (a & 15) as u8 | (b << 4) as u8, (b >> 4) as u8]),
+        WireFormat::Mono12Packed => {
+            pairs(&levels, |a, b| [(a >> 4) as u8, (a & 15) as u8 | (b << 4) as u8, (b >> 4) as u8])
+        }
         _ => levels.iter().flat_map(|l| l.to_le_bytes()).collect(),
     };
     let mut came = picture.get(..format.bytes(pixels)).unwrap_or_default().to_vec();

@@ -76,7 +76,8 @@ fn answer(bytes: &[u8]) -> Result<Vec<u8>, String> {
 fn request(bytes: &[u8]) -> Result<(), String> {
     let said = answer(bytes)?;
     let head = String::from_utf8_lossy(said.get(..12.min(said.len())).unwrap_or_default()).into_owned();
-    let status: Option<u16> = head.strip_prefix("HTTP/1.1 ").or(head.strip_prefix("HTTP/1.0 ")).and_then(|s| s.parse().ok());
+    let status: Option<u16> =
+        head.strip_prefix("HTTP/1.1 ").or(head.strip_prefix("HTTP/1.0 ")).and_then(|s| s.parse().ok());
     match status {
         // 503 is a safe state that is asked for and cannot be had here: there is no instrument.
         Some(500 | 502 | 504 | 505..) => return Err(format!("it answers {head:?}")),

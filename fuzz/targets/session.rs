@@ -89,7 +89,12 @@ fn tuning(settle: Duration) -> MonochromatorConfig {
 }
 
 fn meter(serial: &str) -> LightMonitorConfig {
-    LightMonitorConfig { name: "light_monitor".into(), serial: serial.into(), wavelength: Nanometres(550.0), average: 30 }
+    LightMonitorConfig {
+        name: "light_monitor".into(),
+        serial: serial.into(),
+        wavelength: Nanometres(550.0),
+        average: 30,
+    }
 }
 
 /// The answer of a call that came back.

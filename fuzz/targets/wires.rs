@@ -63,7 +63,9 @@ fn line(driver: &str, bytes: &[u8]) -> Result<(), String> {
 fn usb(driver: &str, bytes: &[u8]) -> Result<(), String> {
     let endpoint = |address, packet| BulkEndpoint { address, packet };
     let (vendor, product, class, endpoints) = match driver {
-        "oceanoptics-usb" => (0x2457, 0x1002, (255, 0, 0), vec![endpoint(2, 64), endpoint(0x82, 64), endpoint(0x87, 64)]),
+        "oceanoptics-usb" => {
+            (0x2457, 0x1002, (255, 0, 0), vec![endpoint(2, 64), endpoint(0x82, 64), endpoint(0x87, 64)])
+        }
         _ => (0x1313, 0x8078, (254, 3, 1), vec![endpoint(2, 64), endpoint(0x82, 64)]),
     };
     let info = UsbInfo { vendor, product, class, endpoints, serial: "P0001234".to_owned(), ..UsbInfo::default() };

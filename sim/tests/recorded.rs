@@ -82,7 +82,9 @@ impl UsbConnector for BusOnTape {
 impl UsbPipe for PipeOnTape {
     async fn transfer(&mut self, request: UsbRequest, limit: Duration) -> Transfer<Vec<u8>> {
         let answer = match request {
-            UsbRequest::BulkOut(endpoint, bytes) => return self.0.send(endpoint, &bytes, limit).await.map(|()| Vec::new()),
+            UsbRequest::BulkOut(endpoint, bytes) => {
+                return self.0.send(endpoint, &bytes, limit).await.map(|()| Vec::new());
+            }
             UsbRequest::ControlOut(setup, bytes) => {
                 return self.0.control_out(setup, &bytes, limit).await.map(|()| Vec::new());
             }
@@ -126,9 +128,10 @@ fn twin_of(driver: &str, tape: &Tape) -> Wire {
         "lcus-relay" => line(OpenShutterTwin::new(Listener::Relay, now), tape),
         "spectral-cm110" => line(Cm110Twin::new(MonochromatorSpec::default(), now), tape),
         "newport-1830c" => line(Newport1830cTwin::new(SimLamp::steady(1e-3, now), now), tape),
-        "thorlabs-pm100" => {
-            usb(UsbBus::new("usb:1313:8078:P0001234", Pm100Twin::new(Pm100Spec::new("P0001234"))).connector(clock), tape)
-        }
+        "thorlabs-pm100" => usb(
+            UsbBus::new("usb:1313:8078:P0001234", Pm100Twin::new(Pm100Spec::new("P0001234"))).connector(clock),
+            tape,
+        ),
         "oceanoptics-usb" => {
             let twin = OceanTwin::new(OceanSpec::new(OceanModel::Usb2000, "USB2G1234"), now);
             usb(UsbBus::new("usb:2457:1002", twin).connector(clock), tape)

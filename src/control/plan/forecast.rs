@@ -344,7 +344,11 @@ mod tests {
         warm.lamp.warm_up_s = Some(300.0);
         assert!((forecast(&warm, &views, &steps, &timing).unwrap().start_s - (f.start_s + 300.0)).abs() < 1e-9);
         warm.interlocks = None;
-        assert_eq!(forecast(&warm, &views, &steps, &timing).unwrap().start_s, f.start_s, "nobody watches, nobody waits");
+        assert_eq!(
+            forecast(&warm, &views, &steps, &timing).unwrap().start_s,
+            f.start_s,
+            "nobody watches, nobody waits"
+        );
         // Without restart the first frame comes at once. After it, 65 ms of the next frame of 1.06 s are over, and two
         // more go by; the dark waits as before or differs by its phase.
         i.camera.get_mut("ccd").unwrap().restart_s = None;

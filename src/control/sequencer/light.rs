@@ -113,7 +113,11 @@ mod tests {
     }
 
     fn rules() -> LightRules {
-        let lamp = LampConfig { warm_up: Duration::from_secs(120), slope_over: Duration::from_secs(120), ..LampConfig::default() };
+        let lamp = LampConfig {
+            warm_up: Duration::from_secs(120),
+            slope_over: Duration::from_secs(120),
+            ..LampConfig::default()
+        };
         LightRules { lamp: Some(lamp), min_w: Some(1e-4), max_w: Some(1e-2) }
     }
 

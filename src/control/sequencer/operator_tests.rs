@@ -8,8 +8,8 @@ use super::run;
 use super::state::{Ending, State};
 use super::tests::{Night, counts, is_safe, job, layout_of, plan};
 use super::verbs::Verb;
-use crate::archive::{NewRun, RunDir};
 use crate::archive::rows::StepState;
+use crate::archive::{NewRun, RunDir};
 use crate::control::events::{Event, EventBus};
 use crate::control::plan::Plan;
 use goniod_drivers::clock::{Clock, UtcMicros};
@@ -107,7 +107,8 @@ fn questions(night: &Night) -> Vec<String> {
 }
 
 fn suspended(night: &Night) -> bool {
-    let waits = |e: &Event| matches!(e, Event::StateChanged { to: State::Suspended(r), .. } if r.contains(&Reason::DeviceLost));
+    let waits =
+        |e: &Event| matches!(e, Event::StateChanged { to: State::Suspended(r), .. } if r.contains(&Reason::DeviceLost));
     night.events.iter().any(waits)
 }
 

@@ -42,7 +42,9 @@ pub enum DaemonError {
     #[error("{0} entries wait already, more are not taken; remove some, or wait until one is done")]
     Full(usize),
     /// The largest number is taken, by a folder that somebody else made.
-    #[error("the queue has no number after {0}; move the folder of that entry out of the queue and start the daemon again")]
+    #[error(
+        "the queue has no number after {0}; move the folder of that entry out of the queue and start the daemon again"
+    )]
     NumbersEnd(u32),
     /// The copies of a scan are not what was queued.
     #[error("the copy of the scan cannot be used: {why}; put the scan into the queue again")]

@@ -77,7 +77,8 @@ impl HaldenCw6 {
             let what = format!("it says {line:?}, a Halden CW6 is needed; connect the wheel or correct `port`");
             return Err(self.error(ErrorKind::WrongDevice, what));
         };
-        let told = Identity { model: "Halden CW6".to_owned(), firmware: firmware.to_owned(), serial: serial.to_owned() };
+        let told =
+            Identity { model: "Halden CW6".to_owned(), firmware: firmware.to_owned(), serial: serial.to_owned() };
         self.wire.trust(NoOp { request: "I?".to_owned(), answer: line });
         Ok(told)
     }
@@ -141,10 +142,8 @@ impl Device for HaldenCw6 {
         self.commanded = None;
         let identity = self.connect().await?;
         if self.config.places != PLACES {
-            let what = format!(
-                "a CW6 has {PLACES} places, the instrument file says {}; correct `places`",
-                self.config.places
-            );
+            let what =
+                format!("a CW6 has {PLACES} places, the instrument file says {}; correct `places`", self.config.places);
             return Err(self.error(ErrorKind::WrongDevice, what));
         }
         self.open = true;
