@@ -9,7 +9,7 @@ use crate::devices::{
     thorlabs_pm100, thorlabs_sc10, uniblitz_vcm_d1,
 };
 use crate::error::{DeviceError, ErrorKind, Result};
-use crate::transport::{Connector, UsbConnector};
+use crate::transport::{Connector, FlowControl, UsbConnector};
 
 /// Makes all axes of a holder that share one link, in the order given.
 pub type MakeHolder = fn(Box<dyn Connector>, Vec<AxisConfig>, Clock) -> Vec<Box<dyn RotaryAxis>>;
@@ -98,6 +98,16 @@ pub fn usb_ids(name: &str) -> Vec<(u16, u16)> {
             oceanoptics_protocol::MODELS.iter().map(|m| (oceanoptics_protocol::VENDOR, m.product)).collect()
         }
         _ => Vec::new(),
+    }
+}
+
+/// Flow control of a driver's serial line, where the instrument file says nothing else: the ESP300's RS-232 port wants
+/// RTS and CTS by its manual, the SMC100 XON and XOFF; all others have none.
+pub fn flow_control(name: &str) -> FlowControl {
+    match name {
+        "newport-esp300" => FlowControl::RtsCts,
+        "newport-smc100" => FlowControl::XonXoff,
+        _ => FlowControl::None,
     }
 }
 

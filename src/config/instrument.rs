@@ -4,6 +4,7 @@ use super::daemon::Daemon;
 use super::night::{Interlocks, Recovery, seconds};
 use goniod_drivers::devices::camera::{AravisTable, V4l2Table};
 use goniod_drivers::frame::PixelFormat;
+use goniod_drivers::transport::FlowControl;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -92,6 +93,8 @@ pub struct Holder {
     pub driver: String,
     /// Serial port path, or `sim:holder`.
     pub port: String,
+    /// Flow control of the serial line; absent = what the driver's device wants.
+    pub flow_control: Option<FlowControl>,
     /// Tilt: polar angle of the source seen from the camera side's normal (0 = reflection at normal incidence, 180 = straight through).
     pub tilt: Axis,
     /// Spin: azimuth of the source in the table's axes.

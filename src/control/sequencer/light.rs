@@ -93,7 +93,9 @@ impl Light {
             all.push((Gauge::Lamp, value));
         }
         let LightRules { min_w, max_w, .. } = self.rules;
-        if let Some(power_w) = self.last_w.filter(|_| self.settled(now) && (min_w.is_some() || max_w.is_some())) {
+        let state = self.lamp.as_ref().map(|lamp| lamp.state(now));
+        let warm = matches!(state, None | Some(LampState::Steady | LampState::Drifting));
+        if let Some(power_w) = self.last_w.filter(|_| warm && (min_w.is_some() || max_w.is_some())) {
             let beyond = min_w.is_some_and(|min| power_w < min) || max_w.is_some_and(|max| power_w > max);
             all.push((Gauge::LightRange, f64::from(u8::from(beyond))));
         }

@@ -146,7 +146,7 @@ impl<'a> ByHand<'a> {
         if let Some((twins, _)) = &self.simulated {
             return super::simulated::connect(twins, port, self.clock);
         }
-        hardware::connect(driver, port, self.clock)
+        hardware::connect(self.instrument, driver, port, self.clock)
     }
 }
 
