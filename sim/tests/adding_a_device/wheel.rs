@@ -98,6 +98,7 @@ async fn every_single_wire_fault_on_any_exchange_of_a_turn_is_survived() {
             slot = slot % 6 + 1;
             wheel.driver.select(Slot(slot)).await.unwrap_or_else(|e| panic!("{fault:?} after {before}: {e}"));
             assert_eq!(wheel.place(), Some(slot), "{fault:?} after {before}");
+            assert!(!wheel.port.peek(HaldenCw6Twin::faults_wait) || before > 2, "{fault:?} met no answer");
         }
     }
 }

@@ -184,7 +184,9 @@ fn operator(changer: &Changer, report: &mut Report<'_>) {
         (Some(_), None) => {
             report.error(key, format!("`{key}` is for an operator; add driver = \"operator\", or take it out"))
         }
-        (Some(within), _) => drop(report.range(key, within, 1.0, 604_800.0)),
+        (Some(within), _) => {
+            report.range(key, within, 1.0, 604_800.0);
+        }
         (None, _) => {}
     }
 }

@@ -342,6 +342,8 @@ mod tests {
         warm.interlocks = Some(crate::config::night::Interlocks { warm_up_s: 60.0, ..Default::default() });
         assert!((forecast(&warm, &views, &steps, &timing).unwrap().start_s - (60.0 + 0.3)).abs() < 1e-9);
         warm.lamp.warm_up_s = Some(300.0);
+        assert!((forecast(&warm, &views, &steps, &timing).unwrap().start_s - (60.0 + 0.3)).abs() < 1e-9, "no monitor");
+        warm.light_monitor = Some(crate::config::testing::light_monitor());
         assert!((forecast(&warm, &views, &steps, &timing).unwrap().start_s - (f.start_s + 300.0)).abs() < 1e-9);
         warm.interlocks = None;
         assert_eq!(

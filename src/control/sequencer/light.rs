@@ -107,7 +107,8 @@ impl Light {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::config::testing::instrument;
+    use crate::config::instrument::LightMonitor;
+    use crate::config::testing::{instrument, light_monitor};
     use goniod_drivers::units::Nanometres;
 
     fn reading(power_w: f64, saturated: bool, at: Instant) -> LightReading {
@@ -159,7 +160,7 @@ mod tests {
     fn the_rules_are_those_of_the_instrument_file() {
         let mut i = instrument();
         i.lamp.warm_up_s = Some(600.0);
-        i.light_monitor.as_mut().unwrap().min_w = Some(1e-6);
+        i.light_monitor = Some(LightMonitor { min_w: Some(1e-6), ..light_monitor() });
         let rules = LightRules::of(&i);
         assert_eq!(rules.lamp.unwrap().warm_up, Duration::from_secs(600));
         assert_eq!((rules.lamp.unwrap().slope_over, rules.min_w), (SLOPE_OVER, Some(1e-6)));

@@ -168,7 +168,8 @@ impl Device for HaldenCw6 {
         if !self.wire.alive().await {
             self.connect().await?;
         }
-        match self.config.dark {
+        let dark = self.config.dark;
+        match dark {
             Some(dark) if self.read_place().await? != Some(dark.0) => self.turn_to(dark.0).await,
             _ => Ok(()),
         }
