@@ -89,6 +89,27 @@ fn light_is_read_by_monitor_and_camera() {
     assert!(frame["reading"]["max_level"].as_f64().unwrap() > 0.0, "painted truth is in the picture: {frame}");
 }
 
+/// The real driver against the spectrometer's twin, in the light of the lamp's model.
+#[test]
+fn a_simulated_spectrometer_tells_who_it_is_and_takes_a_spectrum() {
+    let lab = lab();
+    let table = |port: &str| {
+        format!(
+            "[spectrometer]\ndriver = \"oceanoptics-usb\"\nport = \"{port}\"\nserial = \"USB2G77\"\n\n[camera.ccd]\n"
+        )
+    };
+    lab.edit("instrument.sim.toml", &[("[camera.ccd]\n", &table("sim:spectrometer"))], true);
+    let shown = device(&lab, &["show", "spectrometer"]);
+    assert_eq!(shown.code, 0, "{}{}", shown.out, shown.err);
+    assert_eq!(shown.json()["identity"]["serial"], "USB2G77");
+    let read = device(&lab, &["read", "spectrometer", "--exposure", "0.1"]);
+    assert_eq!(read.code, 0, "{}{}", read.out, read.err);
+    assert_eq!(read.json()["reading"]["exposure_s"], 0.1);
+    lab.edit("instrument.sim.toml", &[("sim:spectrometer", "sim:prism")], true);
+    let said = device(&lab, &["show", "spectrometer"]);
+    assert!(said.code != 0 && format!("{}{}", said.out, said.err).contains("sim:spectrometer"), "{}", said.err);
+}
+
 /// The kernel holds the lock for whoever has the instrument; a hand waits outside.
 #[test]
 fn an_instrument_in_use_is_left_alone() {

@@ -26,7 +26,7 @@ fn rust_files(dir: &Path, into: &mut Vec<PathBuf>) {
 /// Every Rust file of the workspace: path relative to the root, text.
 fn sources() -> Vec<(String, String)> {
     let mut files = Vec::new();
-    for wing in ["src", "drivers", "sim", "tests", "benches"] {
+    for wing in ["src", "drivers", "sim", "tests", "benches", "fuzz"] {
         rust_files(&root().join(wing), &mut files);
     }
     files.sort();
@@ -48,7 +48,10 @@ fn production(text: &str) -> &str {
 fn is_test(name: &str) -> bool {
     let file = name.rsplit('/').next().unwrap_or(name);
     let helpers = ["tests.rs", "fakes.rs", "testing.rs", "testdata.rs"];
-    name.starts_with("tests/") || name.contains("/tests/") || file.ends_with("_tests.rs") || helpers.contains(&file)
+    ["tests/", "fuzz/"].iter().any(|room| name.starts_with(room))
+        || name.contains("/tests/")
+        || file.ends_with("_tests.rs")
+        || helpers.contains(&file)
 }
 
 fn report(what: &str, found: Vec<String>) {

@@ -5,11 +5,11 @@ use crate::contract::{Camera, FilterWheel, LightMonitor, Monochromator, RotaryAx
 use crate::devices::{
     AxisConfig, CameraConfig, Cm110, Esp301, Fw212c, LightMonitorConfig, MonochromatorConfig, Newport1830c,
     OceanOptics, OptecIfw, Pm100, Sc10, ShutterConfig, Smc100, SpectrometerConfig, WheelConfig, ZaberChain, lcus_relay,
-    newport_1830c, newport_esp301, newport_smc100, optec_ifw, spectral_cm110, thorlabs_fw212c, thorlabs_sc10,
-    uniblitz_vcm_d1,
+    newport_1830c, newport_esp301, newport_smc100, oceanoptics_protocol, optec_ifw, spectral_cm110, thorlabs_fw212c,
+    thorlabs_pm100, thorlabs_sc10, uniblitz_vcm_d1,
 };
 use crate::error::{DeviceError, ErrorKind, Result};
-use crate::transport::{Connector, UsbConnector};
+use crate::transport::{Connector, FlowControl, UsbConnector};
 
 /// Makes all axes of a holder that share one link, in the order given.
 pub type MakeHolder = fn(Box<dyn Connector>, Vec<AxisConfig>, Clock) -> Vec<Box<dyn RotaryAxis>>;
@@ -89,6 +89,27 @@ pub const DRIVERS: &[Driver] = &[
 /// Drivers that not every build has, with the feature that brings them.
 pub const BY_FEATURE: &[(&str, &str)] =
     &[("v4l2", "v4l2"), ("aravis", "aravis"), ("sim-ccd", "sim"), ("sim-ingaas", "sim")];
+
+/// Vendor and product ids of the USB devices that a driver of the table opens through libusb; empty for all others.
+pub fn usb_ids(name: &str) -> Vec<(u16, u16)> {
+    match name {
+        "thorlabs-pm100" => thorlabs_pm100::IDS.to_vec(),
+        "oceanoptics-usb" => {
+            oceanoptics_protocol::MODELS.iter().map(|m| (oceanoptics_protocol::VENDOR, m.product)).collect()
+        }
+        _ => Vec::new(),
+    }
+}
+
+/// Flow control of a driver's serial line, where the instrument file says nothing else: the ESP300's RS-232 port wants
+/// RTS and CTS by its manual, the SMC100 XON and XOFF; all others have none.
+pub fn flow_control(name: &str) -> FlowControl {
+    match name {
+        "newport-esp300" => FlowControl::RtsCts,
+        "newport-smc100" => FlowControl::XonXoff,
+        _ => FlowControl::None,
+    }
+}
 
 fn zaber(connector: Box<dyn Connector>, axes: Vec<AxisConfig>, clock: Clock) -> Vec<Box<dyn RotaryAxis>> {
     let chain = ZaberChain::new(connector, axes, clock);

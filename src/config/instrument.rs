@@ -1,12 +1,14 @@
 //! `instrument.toml`: devices, ports, geometry, cameras, filter slots, limits, safe state.
 
 use super::daemon::Daemon;
-use super::night::{Interlocks, Recovery};
+use super::night::{Interlocks, Recovery, seconds};
 use goniod_drivers::devices::camera::{AravisTable, V4l2Table};
 use goniod_drivers::frame::PixelFormat;
+use goniod_drivers::transport::FlowControl;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::time::Duration;
 
 /// The hardware and its settings, as the file says it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -91,6 +93,8 @@ pub struct Holder {
     pub driver: String,
     /// Serial port path, or `sim:holder`.
     pub port: String,
+    /// Flow control of the serial line; absent = what the driver's device wants.
+    pub flow_control: Option<FlowControl>,
     /// Tilt: polar angle of the source seen from the camera side's normal (0 = reflection at normal incidence, 180 = straight through).
     pub tilt: Axis,
     /// Spin: azimuth of the source in the table's axes.
@@ -129,7 +133,11 @@ pub struct Axis {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Changer {
-    /// The axis.
+    /// `operator`: a person brings the sample into each place and confirms; absent = an axis of the holder.
+    pub driver: Option<String>,
+    /// How long an operator is waited for before the views that need them are listed as missing.
+    pub confirm_within_s: Option<f64>,
+    /// The axis; for an operator the angles that stand for the places.
     pub axis: Axis,
     /// Angle at which the sample's interior side faces the camera.
     pub sample_deg: f64,
@@ -246,7 +254,7 @@ pub struct Monochromator {
 pub struct Spectrometer {
     /// Driver name (`oceanoptics-usb`).
     pub driver: String,
-    /// USB address.
+    /// USB address, or `sim:spectrometer`.
     pub port: String,
     /// Serial number it must report.
     pub serial: String,
@@ -381,6 +389,21 @@ impl Link<'_> {
     /// True when a twin of the simulated bench answers there.
     pub fn is_simulated(&self) -> bool {
         self.port.starts_with("sim:")
+    }
+}
+
+// === impl Changer ===
+
+impl Changer {
+    /// Driver name of a person as changer.
+    pub const OPERATOR: &'static str = "operator";
+    /// How long an operator is waited for where the file does not say.
+    const CONFIRM_WITHIN_S: f64 = 3600.0;
+
+    /// How long a person who is the changer is waited for; `None` where it is an axis.
+    pub fn operator_within(&self) -> Option<Duration> {
+        let is_operator = self.driver.as_deref() == Some(Self::OPERATOR);
+        is_operator.then(|| seconds(self.confirm_within_s.unwrap_or(Self::CONFIRM_WITHIN_S)))
     }
 }
 

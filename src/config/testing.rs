@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
-use super::instrument::Instrument;
+use super::instrument::{Instrument, LightMonitor};
 use super::load::load;
 use super::scan::Scan;
 use std::path::{Path, PathBuf};
@@ -15,6 +15,12 @@ pub fn config_dir() -> PathBuf {
 /// `config/instrument.sim.toml`.
 pub fn instrument() -> Instrument {
     load(&config_dir().join("instrument.sim.toml"), "instrument").unwrap().value
+}
+
+/// The light monitor of `config/instrument.example.toml`; the simulated bench has none.
+pub fn light_monitor() -> LightMonitor {
+    let example: Instrument = load(&config_dir().join("instrument.example.toml"), "instrument").unwrap().value;
+    example.light_monitor.unwrap()
 }
 
 /// A scan of `config/scans/`, by name.

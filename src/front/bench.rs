@@ -17,6 +17,7 @@ use crate::control::devices::bench::{Bench, Devices, Settle};
 use crate::control::sequencer::verbs::Verb;
 use goniod_drivers::clock::Clock;
 use goniod_drivers::contract::{Camera, FilterWheel, RotaryAxis, Shutter};
+use goniod_drivers::devices::operator::{Desk, Operator, Place};
 use goniod_drivers::devices::{AxisConfig, ShutterConfig, WheelConfig};
 use goniod_drivers::error::DeviceError;
 use goniod_drivers::table;
@@ -198,11 +199,17 @@ fn devices(
         || DeviceError::new(goniod_drivers::error::ErrorKind::Broken, "holder", "its driver made too few axes");
     let mut next = || -> Result<Box<dyn RotaryAxis>, DeviceError> { axes.next().ok_or_else(lacking) };
     let (tilt, spin) = (next()?, next()?);
-    let changer = instrument.holder.changer.as_ref().map(|_| next()).transpose()?;
+    let person = operator(instrument);
+    let desk = person.as_ref().map(|(_, desk)| desk.clone());
+    let changer: Option<Box<dyn RotaryAxis>> = match person {
+        Some((operator, _)) => Some(Box::new(operator)),
+        None => instrument.holder.changer.as_ref().map(|_| next()).transpose()?,
+    };
     Ok(Devices {
         tilt,
         spin,
         changer,
+        operator: desk,
         wheel: filter_wheel(instrument, clock, &mut connect)?,
         shutter: shutter(instrument, clock, &mut connect)?,
         light_monitor: light::monitor(instrument, clock, &mut connect)?,
@@ -217,8 +224,23 @@ type Connect<'a> = &'a mut dyn FnMut(&str, &str) -> Result<Box<dyn Connector>, B
 fn holder(instrument: &Instrument, clock: Clock, connect: Connect<'_>) -> Result<Vec<Box<dyn RotaryAxis>>, BenchError> {
     let holder = &instrument.holder;
     let mut axes = vec![axis("tilt", &holder.tilt), axis("spin", &holder.spin)];
-    axes.extend(holder.changer.as_ref().map(|c| axis("changer", &c.axis)));
+    let driven = holder.changer.as_ref().filter(|c| c.operator_within().is_none());
+    axes.extend(driven.map(|c| axis("changer", &c.axis)));
     Ok(table::holder(&holder.driver, connect(&holder.driver, &holder.port)?, axes, clock)?)
+}
+
+/// A person as changer, where the instrument has one, and the desk where they are asked.
+fn operator(instrument: &Instrument) -> Option<(Operator, Desk)> {
+    let changer = instrument.holder.changer.as_ref().filter(|c| c.operator_within().is_some())?;
+    let place = |angle: f64, words: &str| Place { at: Degrees(changer.axis.zero_deg + angle), words: words.to_owned() };
+    let mut places = vec![
+        place(changer.sample_deg, "put the sample in with its interior side to the camera"),
+        place(changer.sample_flipped_deg, "turn the sample about the vertical, its exterior side to the camera"),
+    ];
+    places.extend(changer.reflection_reference_deg.map(|at| place(at, "put the reflecting diffuser in")));
+    places.extend(changer.transmission_reference_deg.map(|at| place(at, "put the transmitting diffuser in")));
+    let desk = Desk::default();
+    Some((Operator::new(axis("changer", &changer.axis), places, desk.clone()), desk))
 }
 
 fn filter_wheel(

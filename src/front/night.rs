@@ -7,12 +7,14 @@ use crate::archive::disk::RealDisk;
 use crate::archive::space::must_fit;
 use crate::archive::{ArchiveError, NewRun, RunDir};
 use crate::config::check::Checked;
+use crate::config::instrument::{Changer, Instrument};
 use crate::control::events::EventBus;
 use crate::control::plan::Plan;
 use crate::control::plan::build::build;
 use crate::control::plan::document::{INPUTS, KeptFile, RunDocument};
 use crate::control::plan::forecast::Timing;
 use crate::control::sequencer::layout::layout;
+use crate::control::sequencer::light::LightRules;
 use crate::control::sequencer::recovery::Policies;
 use crate::control::sequencer::run::{Job, Outcome, run};
 use crate::control::sequencer::state::Ending;
@@ -107,6 +109,15 @@ pub fn prepare_named(
     Ok(Night { plan, run: Arc::new(run), path, serials: BTreeMap::new(), lock })
 }
 
+/// What is done about failing devices, and about an operator who does not come.
+fn policies(instrument: &Instrument) -> Policies {
+    let policies = Policies::of(&instrument.recovery);
+    match instrument.holder.changer.as_ref().and_then(Changer::operator_within) {
+        Some(within) => policies.with_operator(within),
+        None => policies,
+    }
+}
+
 /// Carries the plan out.
 ///
 /// # Errors
@@ -126,8 +137,9 @@ pub async fn measure(
         reserved_rows: checked.calibrations.iter().map(|(n, c)| (n.clone(), c.geometry.reserved_rows)).collect(),
         safe_state: instrument.safe_state.clone(),
         attempts: Job::ATTEMPTS,
-        recovery: Policies::of(&instrument.recovery),
+        recovery: policies(instrument),
         interlocks: instrument.interlocks.clone(),
+        light: LightRules::of(instrument),
         serials: night.serials.clone(),
     };
     run(&job, &mut opened.bench, Arc::clone(&night.run), clock, verbs, events).await.map_err(storage)

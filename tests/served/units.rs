@@ -2,6 +2,8 @@
 
 use super::{Daemon, quick_lab};
 use crate::common::{root, text};
+use goniod_drivers::table::Make;
+use std::collections::BTreeSet;
 use std::fs;
 use std::os::unix::net::UnixDatagram;
 use std::process::Command;
@@ -74,4 +76,65 @@ fn the_service_manager_is_told_ready_state_and_signs_of_life() {
         last.push(String::from_utf8_lossy(&buffer[..n]).into_owned());
     }
     assert!(last.iter().any(|line| line.contains("STOPPING=1")), "{last:?}");
+}
+
+/// Lines of the udev rules that give a device to a group.
+fn rules() -> String {
+    fs::read_to_string(root().join("systemd/70-goniod.rules")).unwrap()
+}
+
+#[test]
+fn the_udev_rules_open_every_usb_device_of_the_table_to_the_daemon() {
+    let rules = rules();
+    let mut devices = 0;
+    for driver in goniod_drivers::table::DRIVERS {
+        let ids = goniod_drivers::table::usb_ids(driver.name);
+        let on_usb = matches!(driver.make, Make::UsbLightMonitor(_) | Make::Spectrometer(_));
+        assert_eq!(!ids.is_empty(), on_usb, "{} and table::usb_ids", driver.name);
+        for (vendor, product) in ids {
+            let ids = format!("ATTR{{idVendor}}==\"{vendor:04x}\", ATTR{{idProduct}}==\"{product:04x}\"");
+            let line = rules.lines().find(|line| line.starts_with(&ids));
+            let line = line.unwrap_or_else(|| panic!("no rule for {vendor:04x}:{product:04x} of {}", driver.name));
+            assert!(line.contains("GROUP=\"goniophot\"") && line.contains("MODE=\"0660\""), "{line}");
+            devices += 1;
+        }
+    }
+    assert_eq!(rules.matches("ATTR{idVendor}==").count(), devices, "a rule for a device that no driver speaks to");
+    assert!(rules.contains("ENV{ID_USB_INTERFACES}==\"*:ef05*\""), "USB3 Vision cameras");
+    assert!(rules.contains("KERNEL==\"ttyUSB[0-9]*|ttyACM[0-9]*\", GROUP=\"dialout\""), "serial adapters");
+}
+
+#[test]
+fn the_daemon_belongs_to_every_group_that_the_rules_name() {
+    let rules = rules();
+    let named: BTreeSet<&str> = rules.split("GROUP=\"").skip(1).filter_map(|rest| rest.split('"').next()).collect();
+    assert!(named.contains("goniophot") && named.contains("dialout"), "{named:?}");
+    for unit in ["goniod.service", "goniod-safe.service", "goniod-run@.service"] {
+        let groups = directive(unit, "SupplementaryGroups");
+        for group in named.iter().chain(&["video"]) {
+            assert!(groups.split(' ').any(|g| g == *group), "{unit} is not in {group}");
+        }
+    }
+    let account = fs::read_to_string(root().join("systemd/sysusers.conf")).unwrap();
+    assert!(account.contains("g goniophot"), "a group of our own is made where the account is");
+}
+
+/// Every line of the rules is made of matches and assignments that udev knows, and every jump has its label.
+#[test]
+fn the_udev_rules_are_read_by_udev_without_a_word() {
+    let path = root().join("systemd/70-goniod.rules");
+    match Command::new("udevadm").arg("verify").arg(&path).output() {
+        Ok(said) if !String::from_utf8_lossy(&said.stderr).contains("Unknown command") => {
+            assert!(said.status.success(), "{}", String::from_utf8_lossy(&said.stderr));
+        }
+        _ => eprintln!("\n*** SKIPPED: no `udevadm verify` here, so the udev rules are not verified by udev ***\n"),
+    }
+    let known = ["SUBSYSTEM", "KERNEL", "ACTION", "GROUP", "MODE", "GOTO", "LABEL", "ENV", "ATTR"];
+    for line in rules().lines().filter(|line| !line.is_empty() && !line.starts_with('#')) {
+        for word in line.split(", ") {
+            let key = word.split(['=', '!', '{']).next().unwrap();
+            assert!(known.contains(&key) && word.matches('"').count() == 2, "{word} in {line}");
+        }
+    }
+    assert!(rules().contains("LABEL=\"goniod_end\""));
 }

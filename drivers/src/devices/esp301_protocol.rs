@@ -118,7 +118,7 @@ impl Report {
     pub fn parse(line: &str) -> Option<Report> {
         let (code, rest) = line.split_once(',')?;
         let (stamp, text) = rest.split_once(',')?;
-        let code: u16 = code.trim().parse().ok()?;
+        let code: u16 = Some(code.trim()).filter(|c| !c.starts_with('+'))?.parse().ok()?;
         stamp.trim().parse::<u64>().ok()?;
         ((code == 0) == (text.trim() == NO_ERROR)).then_some(Report(code))
     }

@@ -16,6 +16,7 @@ pub mod oceanoptics;
 pub mod oceanoptics_protocol;
 mod oceanoptics_scale;
 mod open_loop;
+pub mod operator;
 pub mod optec_ifw;
 mod prompt;
 pub mod smc100_protocol;

@@ -157,8 +157,8 @@ pub fn parse(line: &[u8], checked: bool) -> Result<Message, Defect> {
     };
     let text = std::str::from_utf8(body).map_err(|_| Defect::Shape)?;
     let mut words = text.splitn(3, ' ');
-    let device = words.next().filter(|w| w.len() == 2).and_then(|w| w.parse().ok()).ok_or(Defect::Shape)?;
-    let axis = words.next().filter(|w| w.len() == 1).and_then(|w| w.parse().ok()).ok_or(Defect::Shape)?;
+    let device = words.next().filter(|w| w.len() == 2).and_then(digits).ok_or(Defect::Shape)?;
+    let axis = words.next().filter(|w| w.len() == 1).and_then(digits).ok_or(Defect::Shape)?;
     let at = Address { device, axis };
     let rest = words.next().unwrap_or_default();
     let (id, tail) = split_id(rest);
@@ -172,10 +172,15 @@ pub fn parse(line: &[u8], checked: bool) -> Result<Message, Defect> {
 /// Takes a two-digit id off the front.
 fn split_id(text: &str) -> (Option<u8>, &str) {
     let (word, tail) = text.split_once(' ').unwrap_or((text, ""));
-    match word.parse() {
-        Ok(id) if word.len() == 2 => (Some(id), tail),
+    match digits(word) {
+        Some(id) if word.len() == 2 => (Some(id), tail),
         _ => (None, text),
     }
+}
+
+/// A number of digits alone: no sign.
+fn digits(word: &str) -> Option<u8> {
+    word.bytes().all(|b| b.is_ascii_digit()).then(|| word.parse().ok()).flatten()
 }
 
 fn parse_reply(at: Address, id: Option<u8>, text: &str) -> Option<Reply> {

@@ -86,7 +86,7 @@ impl Warning {
     /// Reads the data of `warnings`: a count, then so many codes. `None` when that does not hold.
     pub fn list(data: &str) -> Option<Vec<Warning>> {
         let mut words = data.split_ascii_whitespace();
-        let count: usize = words.next()?.parse().ok()?;
+        let count: usize = words.next().filter(|w| w.bytes().all(|b| b.is_ascii_digit()))?.parse().ok()?;
         let codes: Vec<Warning> = words.map(Warning::of).collect();
         (codes.len() == count && codes.iter().all(|w| w.code.len() == 2)).then_some(codes)
     }

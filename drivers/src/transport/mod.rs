@@ -15,6 +15,20 @@ pub use usb::{UsbConnector, UsbLink};
 
 use crate::error::Result;
 use async_trait::async_trait;
+use serde::{Deserialize, Serialize};
+
+/// How a serial line holds back a sender that is too fast.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum FlowControl {
+    /// It does not.
+    #[default]
+    None,
+    /// By the wires RTS and CTS, which the cable must have.
+    RtsCts,
+    /// By the characters XON and XOFF.
+    XonXoff,
+}
 
 /// Opens a link, again and again.
 #[async_trait]

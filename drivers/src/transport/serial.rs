@@ -1,6 +1,6 @@
-//! Serial ports, 8 data bits, no parity, one stop bit, no flow control, opened by path.
+//! Serial ports, 8 data bits, no parity, one stop bit, opened by path.
 
-use super::{Connector, Link};
+use super::{Connector, FlowControl, Link};
 use crate::clock::Clock;
 use crate::error::{DeviceError, ErrorKind, Result};
 use async_trait::async_trait;
@@ -15,15 +15,21 @@ const BY_ID: &str = "/dev/serial/by-id";
 pub struct SerialConnector {
     path: String,
     baud: u32,
+    flow: FlowControl,
     clock: Clock,
 }
 
 // === impl SerialConnector ===
 
 impl SerialConnector {
-    /// The port at `path` with `baud`.
+    /// The port at `path` with `baud`, without flow control.
     pub fn new(path: impl Into<String>, baud: u32, clock: Clock) -> SerialConnector {
-        SerialConnector { path: path.into(), baud, clock }
+        SerialConnector { path: path.into(), baud, flow: FlowControl::None, clock }
+    }
+
+    /// The same with this flow control.
+    pub fn with_flow(self, flow: FlowControl) -> SerialConnector {
+        SerialConnector { flow, ..self }
     }
 }
 
@@ -34,7 +40,12 @@ impl Connector for SerialConnector {
     }
 
     async fn connect(&mut self) -> Result<Link> {
-        match tokio_serial::new(&self.path, self.baud).open_native_async() {
+        let flow = match self.flow {
+            FlowControl::None => tokio_serial::FlowControl::None,
+            FlowControl::RtsCts => tokio_serial::FlowControl::Hardware,
+            FlowControl::XonXoff => tokio_serial::FlowControl::Software,
+        };
+        match tokio_serial::new(&self.path, self.baud).flow_control(flow).open_native_async() {
             Ok(stream) => Ok(Link::new(self.path.clone(), stream, self.clock)),
             Err(cause) => Err(DeviceError::new(ErrorKind::Lost, &self.path, why_not(&self.path, &cause.to_string()))),
         }
@@ -107,6 +118,27 @@ mod tests {
         assert_eq!(line, b"@01 1 06 OK IDLE -- 0:06");
         drop(device);
         assert_eq!(link.line(clock.now() + Duration::from_secs(5)).await.unwrap_err().kind, ErrorKind::Lost);
+    }
+
+    /// A pseudo-terminal keeps what it is told of flow control, though nothing follows from it there.
+    #[tokio::test]
+    async fn the_line_gets_the_flow_control_that_is_asked_for() {
+        use std::os::fd::AsRawFd;
+        use tokio_serial::SerialPort;
+        let (device, slave) = tokio_serial::SerialStream::pair().unwrap();
+        let path = std::fs::read_link(format!("/proc/self/fd/{}", slave.as_raw_fd())).unwrap();
+        drop(slave);
+        for (flow, kept) in [
+            (FlowControl::RtsCts, tokio_serial::FlowControl::Hardware),
+            (FlowControl::XonXoff, tokio_serial::FlowControl::Software),
+            (FlowControl::None, tokio_serial::FlowControl::None),
+        ] {
+            let mut connector =
+                SerialConnector::new(path.display().to_string(), 19_200, Clock::system()).with_flow(flow);
+            let link = connector.connect().await.unwrap();
+            assert_eq!(device.flow_control().unwrap(), kept);
+            drop(link);
+        }
     }
 
     #[tokio::test]

@@ -3,7 +3,7 @@
 use super::{Options, Report, cameras, light};
 use crate::config::error::Issue;
 use crate::config::hint;
-use crate::config::instrument::{Axis, FilterSlot, Instrument, Link};
+use crate::config::instrument::{Axis, Changer, FilterSlot, Instrument, Link};
 use crate::config::load::Loaded;
 use goniod_drivers::table::feature_of;
 use std::collections::BTreeMap;
@@ -141,6 +141,7 @@ fn axis(key: &str, axis: &Axis, report: &mut Report<'_>) {
 
 fn changer_places(i: &Instrument, report: &mut Report<'_>) {
     let Some(changer) = &i.holder.changer else { return };
+    operator(changer, report);
     let places = [
         ("sample_deg", Some(changer.sample_deg)),
         ("sample_flipped_deg", Some(changer.sample_flipped_deg)),
@@ -165,6 +166,28 @@ fn changer_places(i: &Instrument, report: &mut Report<'_>) {
             );
         }
         seen.push((name, angle));
+    }
+}
+
+fn operator(changer: &Changer, report: &mut Report<'_>) {
+    let key = "holder.changer.driver";
+    if let Some(driver) = changer.driver.as_deref().filter(|d| *d != Changer::OPERATOR) {
+        report.error(
+            key,
+            format!(
+                "`{key}` is \"{driver}\"; write \"operator\" for a person, or take it out for an axis of the holder"
+            ),
+        );
+    }
+    let key = "holder.changer.confirm_within_s";
+    match (changer.confirm_within_s, &changer.driver) {
+        (Some(_), None) => {
+            report.error(key, format!("`{key}` is for an operator; add driver = \"operator\", or take it out"))
+        }
+        (Some(within), _) => {
+            report.range(key, within, 1.0, 604_800.0);
+        }
+        (None, _) => {}
     }
 }
 

@@ -16,6 +16,7 @@ pub(super) fn check(i: &Instrument, report: &mut Report<'_>) {
         report.positive("lamp.rated_hours", hours, 1e6);
     }
     light_monitor(i, report);
+    unwatched(i, report);
     monochromator(i, report);
     if let Some(spectrometer) = &i.spectrometer {
         report.text("spectrometer.serial", &spectrometer.serial);
@@ -41,6 +42,24 @@ fn light_monitor(i: &Instrument, report: &mut Report<'_>) {
     {
         let key = "light_monitor.max_w";
         report.error(key, format!("`{key}` is {max}, not above min_w {min}; swap them"));
+    }
+}
+
+/// Keys of lamp and monitor that only the interlocks heed.
+fn unwatched(i: &Instrument, report: &mut Report<'_>) {
+    let monitor = i.light_monitor.as_ref();
+    let keys = [
+        ("lamp.warm_up_s", i.lamp.warm_up_s.is_some()),
+        ("light_monitor.min_w", monitor.is_some_and(|m| m.min_w.is_some())),
+        ("light_monitor.max_w", monitor.is_some_and(|m| m.max_w.is_some())),
+    ];
+    for (key, _) in keys.into_iter().filter(|(_, written)| *written) {
+        let lacking = match (monitor, &i.interlocks) {
+            (None, _) => "[light_monitor]",
+            (_, None) => "[interlocks]",
+            _ => continue,
+        };
+        report.warn(key, format!("`{key}` has no effect without a table {lacking}; add it, or take the key out"));
     }
 }
 

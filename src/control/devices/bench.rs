@@ -3,6 +3,7 @@
 use crate::config::instrument::{self, Instrument};
 use goniod_drivers::clock::Clock;
 use goniod_drivers::contract::{Camera, FilterWheel, Identity, LightMonitor, RotaryAxis, Shutter, ShutterState};
+use goniod_drivers::devices::operator::Desk;
 use goniod_drivers::error::{DeviceError, ErrorKind};
 use goniod_drivers::units::Slot;
 use std::collections::BTreeMap;
@@ -60,6 +61,8 @@ pub struct Devices {
     pub cameras: BTreeMap<String, Box<dyn Camera>>,
     /// Power meter that watches the lamp, where there is one.
     pub light_monitor: Option<Box<dyn LightMonitor>>,
+    /// Where the operator is asked, where the changer is a person.
+    pub operator: Option<Desk>,
 }
 
 /// How long to wait after a move, and how well an axis must stand.

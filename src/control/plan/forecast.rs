@@ -93,6 +93,14 @@ pub fn axis_s(axis: &Axis, from_deg: f64, to_deg: f64, timing: &Timing) -> f64 {
     timing.move_command_s + noticed + axis.settle_s
 }
 
+/// Waiting for the lamp after the devices are open, seconds: the interlocks count from the start of the run, a lamp that
+/// the light monitor watches from its first reading.
+fn warm_up_s(instrument: &Instrument, opened_s: f64) -> f64 {
+    let Some(interlocks) = &instrument.interlocks else { return 0.0 };
+    let watched = instrument.light_monitor.as_ref().and(instrument.lamp.warm_up_s).unwrap_or(0.0);
+    watched.max(interlocks.warm_up_s - opened_s)
+}
+
 /// Bytes of one pixel as it is stored.
 pub fn bytes_per_pixel(format: PixelFormat) -> u64 {
     let word = if format.levels() > 256 { 2 } else { 1 };
@@ -165,7 +173,8 @@ impl<'a> Bench<'a> {
     fn new(instrument: &'a Instrument, timing: Timing) -> Bench<'a> {
         let axes = if instrument.holder.changer.is_some() { 3.0 } else { 2.0 };
         let shutter_s = timing.open_shutter_s + instrument.shutter.settle_s;
-        let start_s = shutter_s + timing.open_wheel_s + axes * timing.open_axis_s;
+        let opened_s = shutter_s + timing.open_wheel_s + axes * timing.open_axis_s;
+        let start_s = opened_s + warm_up_s(instrument, opened_s);
         let forecast = Forecast { start_s, ..Forecast::default() };
         Bench {
             instrument,
@@ -328,6 +337,20 @@ mod tests {
         assert_eq!(f.raw_bytes, 3 * 1392 * 1040);
         // The wheel is on its blank already at the end.
         assert!((f.start_s - (0.22 + 0.05 + 0.136 + 3.0 * 2.502 + 0.3)).abs() < 1e-9);
+        // A lamp that is watched is waited for from its first reading on, the interlocks' warm-up from the start.
+        let mut warm = i.clone();
+        warm.interlocks = Some(crate::config::night::Interlocks { warm_up_s: 60.0, ..Default::default() });
+        assert!((forecast(&warm, &views, &steps, &timing).unwrap().start_s - (60.0 + 0.3)).abs() < 1e-9);
+        warm.lamp.warm_up_s = Some(300.0);
+        assert!((forecast(&warm, &views, &steps, &timing).unwrap().start_s - (60.0 + 0.3)).abs() < 1e-9, "no monitor");
+        warm.light_monitor = Some(crate::config::testing::light_monitor());
+        assert!((forecast(&warm, &views, &steps, &timing).unwrap().start_s - (f.start_s + 300.0)).abs() < 1e-9);
+        warm.interlocks = None;
+        assert_eq!(
+            forecast(&warm, &views, &steps, &timing).unwrap().start_s,
+            f.start_s,
+            "nobody watches, nobody waits"
+        );
         // Without restart the first frame comes at once. After it, 65 ms of the next frame of 1.06 s are over, and two
         // more go by; the dark waits as before or differs by its phase.
         i.camera.get_mut("ccd").unwrap().restart_s = None;

@@ -398,6 +398,7 @@ pub fn bench(clock: Clock) -> (Bench, Shared) {
         shutter: Box::new(FakeShutter(part("shutter"))),
         cameras: [camera("ccd"), camera("ingaas")].into(),
         light_monitor: Some(Box::new(FakeMonitor(part("light_monitor")))),
+        operator: None,
     };
     let axis = AxisCare { settle: Duration::from_millis(300), tolerance_deg: 0.05 };
     let (wheel, shutter) = (Duration::from_millis(200), Duration::from_millis(50));

@@ -40,6 +40,10 @@ pub enum Gauge {
     LampOn,
     /// Power of the light monitor over that at the start, less one.
     Light,
+    /// State of the lamp by its light, one of [`Gauge::LAMP_STEADY`] and its like.
+    Lamp,
+    /// 1 while the light monitor reads a power that cannot be the lamp's, else 0.
+    LightRange,
     /// Temperature of this device, degrees Celsius.
     Temperature(String),
     /// 1 while the door contact is open, else 0.
@@ -109,6 +113,19 @@ impl Reason {
             Reason::DeviceLost => "device-lost",
         }
     }
+}
+
+// === impl Gauge ===
+
+impl Gauge {
+    /// The lamp burns steadily.
+    pub const LAMP_STEADY: f64 = 0.0;
+    /// The lamp warms up, or nothing is known of it yet.
+    pub const LAMP_WARMING: f64 = 1.0;
+    /// The lamp was steady and its light changes now.
+    pub const LAMP_DRIFTING: f64 = 2.0;
+    /// The lamp is out.
+    pub const LAMP_OUT: f64 = 3.0;
 }
 
 // === impl Trips ===
@@ -195,6 +212,9 @@ fn judge(gauge: &Gauge, value: f64, limits: &Interlocks) -> (Reason, bool, bool)
     match gauge {
         Gauge::LampOn => (Reason::LampWarming, value < limits.warm_up_s, false),
         Gauge::Light => (Reason::LampUnsteady, beyond(limits.lamp_drift_warning), beyond(limits.lamp_drift_alarm)),
+        Gauge::Lamp if value == Gauge::LAMP_WARMING => (Reason::LampWarming, true, false),
+        Gauge::Lamp => (Reason::LampUnsteady, value >= Gauge::LAMP_DRIFTING, value >= Gauge::LAMP_OUT),
+        Gauge::LightRange => (Reason::LampUnsteady, false, value >= 0.5),
         Gauge::Temperature(_) => {
             (Reason::Temperature, above(limits.temperature_warning_c), above(limits.temperature_alarm_c))
         }
@@ -233,9 +253,11 @@ mod tests {
         }
     }
 
-    fn gauges() -> [Gauge; 6] {
+    fn gauges() -> [Gauge; 8] {
         let t = |name: &str| Gauge::Temperature(name.to_owned());
-        [Gauge::LampOn, Gauge::Light, t("ccd"), t("ingaas"), Gauge::Door, Gauge::FreeDisk]
+        let lamp = [Gauge::LampOn, Gauge::Light, Gauge::Lamp, Gauge::LightRange];
+        let [on, light, state, range] = lamp;
+        [on, light, state, range, t("ccd"), t("ingaas"), Gauge::Door, Gauge::FreeDisk]
     }
 
     /// Values at these levels: 0 well, 1 warning, 2 alarm (where the gauge has one).
@@ -247,11 +269,14 @@ mod tests {
             (Gauge::Light, 0) => 0.039 * (part - 0.5),
             (Gauge::Light, 1) => (0.02 + 0.17 * part) * if dice.roll(2) == 0 { 1.0 } else { -1.0 },
             (Gauge::Light, _) => (0.2 + part) * if dice.roll(2) == 0 { 1.0 } else { -1.0 },
+            (Gauge::Lamp, 0) => Gauge::LAMP_STEADY,
+            (Gauge::Lamp, 1) => Gauge::LAMP_DRIFTING,
+            (Gauge::Lamp, _) => Gauge::LAMP_OUT,
             (Gauge::Temperature(_), 0) => 39.9 * part,
             (Gauge::Temperature(_), 1) => 40.0 + 14.9 * part,
             (Gauge::Temperature(_), _) => 55.0 + 50.0 * part,
-            (Gauge::Door, 0 | 1) => 0.0,
-            (Gauge::Door, _) => 1.0,
+            (Gauge::Door | Gauge::LightRange, 0 | 1) => 0.0,
+            (Gauge::Door | Gauge::LightRange, _) => 1.0,
             (Gauge::FreeDisk, 0) => 501.0 + 1e6 * part,
             (Gauge::FreeDisk, 1) => 51.0 + 449.0 * part,
             (Gauge::FreeDisk, _) => 50.0 * part,
@@ -309,17 +334,25 @@ mod tests {
     fn expected_of(gauge: &Gauge, level: u64) -> (Option<Reason>, Option<Reason>) {
         let reason = match gauge {
             Gauge::LampOn => Reason::LampWarming,
-            Gauge::Light => Reason::LampUnsteady,
+            Gauge::Light | Gauge::Lamp | Gauge::LightRange => Reason::LampUnsteady,
             Gauge::Temperature(_) => Reason::Temperature,
             Gauge::Door => Reason::Door,
             Gauge::FreeDisk => Reason::Disk,
         };
         match (gauge, level) {
             (_, 9) => (Some(Reason::Silent), None),
-            (_, 0) | (Gauge::Door, 1) => (None, None),
+            (_, 0) | (Gauge::Door | Gauge::LightRange, 1) => (None, None),
             (Gauge::LampOn, _) | (_, 1) => (Some(reason), None),
             _ => (None, Some(reason)),
         }
+    }
+
+    #[test]
+    fn a_lamp_that_warms_up_is_waited_for() {
+        let (mut known, now) = (Gauges::default(), Instant::now());
+        known.answered(Gauge::Lamp, Gauge::LAMP_WARMING, now);
+        let trips = evaluate(&known.readings(now), &limits());
+        assert_eq!((trips.reasons(), trips.alarm()), ([Reason::LampWarming].into(), None));
     }
 
     #[test]

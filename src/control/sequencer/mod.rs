@@ -3,6 +3,7 @@
 //! - [`state`]: the states and the total transition function                       pure
 //! - [`recovery`]: from a device's error to what is done about it                   pure
 //! - [`interlocks`]: from readings with their ages to warnings and alarms           pure
+//! - [`light`]: what the light monitor's readings say of the lamp                  pure
 //! - [`layout`]: the run directory's shape for a plan                               pure
 //! - [`recorder`]: frames and events on their ordered way to the disk
 //! - [`verbs`]: what an operator or a signal may ask for, and what each state answers
@@ -11,6 +12,7 @@
 
 pub mod interlocks;
 pub mod layout;
+pub mod light;
 mod memory;
 pub mod recorder;
 pub mod recovery;
@@ -23,6 +25,8 @@ mod watch;
 
 #[cfg(test)]
 mod fakes;
+#[cfg(test)]
+mod operator_tests;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]

@@ -12,6 +12,9 @@ pub const GIVEN_UP_BEFORE_LOST: u32 = 3;
 /// Shortest wait before an attempt: no policy makes a loop without pause.
 const SHORTEST_WAIT: Duration = Duration::from_millis(100);
 
+/// How often an operator is asked again.
+const OPERATOR_LOOK: Duration = Duration::from_secs(60);
+
 /// What kind of part a device is: what helps one does not help another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Part {
@@ -155,6 +158,18 @@ impl Policies {
         policies
     }
 
+    /// The same with an operator for a changer, who is waited for so long: nobody there, and what needs them is missing.
+    /// A policy of the file for the changer holds before this.
+    pub fn with_operator(mut self, within: Duration) -> Policies {
+        self.single.entry(DeviceId::Changer.to_string()).or_insert(Policy {
+            attempts: 0,
+            backoff: vec![OPERATOR_LOOK],
+            longest_outage: within,
+            after_outage: AfterOutage::GiveUp,
+        });
+        self
+    }
+
     /// The policy of a device.
     pub fn of_device(&self, id: &DeviceId) -> Policy {
         let name = id.to_string();
@@ -205,7 +220,12 @@ pub fn decide(case: &Case, policy: &Policy) -> Decision {
         ErrorKind::Refused | ErrorKind::WrongDevice => Decision::End,
         _ if case.failures <= policy.attempts && !lost => first_aid(case, policy.wait(case.failures)),
         _ if case.phase == Phase::Start => Decision::End,
-        _ if policy.after_outage == AfterOutage::GiveUp => Decision::GiveUp,
+        // A camera's views are done without; anything else is waited for first.
+        _ if policy.after_outage == AfterOutage::GiveUp
+            && (case.part == Part::Camera || case.outage >= policy.longest_outage) =>
+        {
+            Decision::GiveUp
+        }
         // It answers, so it is this view that cannot be had; unless no view could be had for a while.
         ErrorKind::Busy | ErrorKind::Broken if !lost => Decision::GiveUp,
         _ if case.outage < policy.longest_outage => Decision::Suspend(policy.wait(u32::MAX)),

@@ -1,6 +1,7 @@
 //! The night: checks the bench, takes the exposures of a plan in order, ends safe.
 
 use super::interlocks::Reason;
+use super::light::LightRules;
 use super::memory::Memory;
 use super::recorder::{Recorder, Standing};
 use super::recovery::Policies;
@@ -53,6 +54,8 @@ pub struct Job<'a> {
     pub recovery: Policies,
     /// Conditions under which exposures wait; absent = nothing is watched.
     pub interlocks: Option<Interlocks>,
+    /// What the readings of the light monitor mean; heeded where there are interlocks.
+    pub light: LightRules,
     /// Serial numbers that devices must have, by name: those of the run that is gone on with.
     pub serials: BTreeMap<String, String>,
 }
@@ -129,7 +132,7 @@ pub async fn run(
     let stage = Stage::new(recorder, clock);
     let steps = job.plan.steps.len() as u32;
     stage.recorder().event(Event::RunStarted { steps, to_do: to_do.len() as u32 }).await;
-    let watch = Watch::new(job.interlocks.clone(), Arc::clone(&archive), clock.now());
+    let watch = Watch::new(job.interlocks.clone(), job.light.clone(), Arc::clone(&archive), clock.now());
     let (urgent, verbs) = past_the_sequencer(verbs);
     let (listener, memory) = (Listener::new(verbs), Memory::default());
     let mut night = Night { job, bench: &mut *bench, stage: &stage, listener, memory, watch, lost: None };
@@ -316,6 +319,12 @@ impl Night<'_> {
     async fn wait_for_lost(&mut self, reasons: &mut BTreeSet<Reason>) -> Option<Ended> {
         let asked = self.listener.take_try_again();
         let lost = self.lost.clone()?;
+        if asked
+            && lost.id == DeviceId::Changer
+            && let Some(desk) = &self.bench.devices.operator
+        {
+            desk.confirm();
+        }
         let (now, state) = (self.stage.clock().now(), self.stage.state());
         if !matches!(state, State::Suspended(ref s) if s.contains(&Reason::DeviceLost)) {
             // First the bench is made safe, as far as it can be reached.

@@ -147,6 +147,7 @@ pub(super) fn job(plan: &Plan) -> Job<'_> {
         attempts: Job::ATTEMPTS,
         recovery: Policies::default(),
         interlocks: None,
+        light: crate::control::sequencer::light::LightRules::default(),
         serials: BTreeMap::new(),
     }
 }

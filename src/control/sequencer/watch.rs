@@ -1,6 +1,7 @@
 //! Reads the gauges of the interlocks between exposures, keeps their ages, and tells what they mean together.
 
 use super::interlocks::{Gauge, Gauges, Trips, evaluate};
+use super::light::{Light, LightRules};
 use super::stage::Stage;
 use crate::archive::RunDir;
 use crate::config::night::Interlocks;
@@ -33,6 +34,8 @@ pub(super) struct Watch {
     told: Trips,
     /// The first level of the light monitor.
     reference: Option<f64>,
+    /// What the levels say of the lamp.
+    light: Light,
     /// The light monitor is open.
     open: bool,
 }
@@ -41,7 +44,7 @@ pub(super) struct Watch {
 
 impl Watch {
     /// Begins to watch; nothing is read yet. Without limits nothing is ever read.
-    pub(super) fn new(limits: Option<Interlocks>, archive: Arc<RunDir>, now: Instant) -> Watch {
+    pub(super) fn new(limits: Option<Interlocks>, rules: LightRules, archive: Arc<RunDir>, now: Instant) -> Watch {
         Watch {
             limits,
             archive,
@@ -50,6 +53,7 @@ impl Watch {
             due: now,
             told: Trips::default(),
             reference: None,
+            light: Light::new(rules),
             open: false,
         }
     }
@@ -114,8 +118,8 @@ impl Watch {
             let free_mb = free.ok().and_then(std::result::Result::ok).map(|bytes| bytes as f64 / 1e6);
             self.note(Gauge::FreeDisk, free_mb, clock.now());
         }
-        // The level at the end of the warm-up is the one to compare with.
-        if clock.now() - self.begun >= Duration::from_secs_f64(limits.warm_up_s.max(0.0)) {
+        // The level at the end of the warm-up is the one to compare with; a lamp is watched from the beginning.
+        if self.light.has_lamp() || clock.now() - self.begun >= Duration::from_secs_f64(limits.warm_up_s.max(0.0)) {
             self.level(bench, stage, None).await;
         }
     }
@@ -133,23 +137,34 @@ impl Watch {
         let mut powers = Vec::with_capacity(LIGHT_READINGS);
         for _ in 0..LIGHT_READINGS {
             let reading = flat(clock.timeout(GAUGE_LIMIT, monitor.read()).await);
+            reading.iter().for_each(|reading| self.light.read(reading, clock.now()));
             match reading.filter(|r| !r.saturated && r.power_w.is_finite() && r.power_w > 0.0) {
                 Some(reading) => powers.push(reading.power_w),
                 None => {
                     self.open = false;
                     self.note(Gauge::Light, None, clock.now());
+                    self.note_light(clock.now());
                     return None;
                 }
             }
         }
+        self.note_light(clock.now());
         let n = powers.len() as f64;
         let power_w = powers.iter().sum::<f64>() / n;
         let squares: f64 = powers.iter().map(|p| (p - power_w).powi(2)).sum();
         let u_w = (squares / (n - 1.0) / n).sqrt();
         stage.recorder().event(Event::LightRead { view, power_w, u_w }).await;
-        let reference = *self.reference.get_or_insert(power_w);
-        self.note(Gauge::Light, Some(power_w / reference - 1.0), clock.now());
+        if self.light.settled(clock.now()) || self.reference.is_some() {
+            let reference = *self.reference.get_or_insert(power_w);
+            self.note(Gauge::Light, Some(power_w / reference - 1.0), clock.now());
+        }
         Some(power_w)
+    }
+
+    fn note_light(&mut self, now: Instant) {
+        for (gauge, value) in self.light.gauges(now) {
+            self.note(gauge, Some(value), now);
+        }
     }
 
     fn note(&mut self, gauge: Gauge, value: Option<f64>, now: Instant) {

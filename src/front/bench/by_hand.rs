@@ -116,7 +116,10 @@ impl<'a> ByHand<'a> {
         match name {
             "tilt" => axis(0, &mut connect),
             "spin" => axis(1, &mut connect),
-            "changer" => axis(2, &mut connect),
+            "changer" => match super::operator(i) {
+                Some((operator, _)) => Ok(Some(Hand::Axis(Box::new(operator)))),
+                None => axis(2, &mut connect),
+            },
             "filter_wheel" => Ok(Some(Hand::Wheel(super::filter_wheel(i, clock, &mut connect)?))),
             "shutter" => Ok(Some(Hand::Shutter(super::shutter(i, clock, &mut connect)?))),
             "light_monitor" => Ok(light::monitor(i, clock, &mut connect)?.map(Hand::LightMonitor)),
@@ -143,7 +146,7 @@ impl<'a> ByHand<'a> {
         if let Some((twins, _)) = &self.simulated {
             return super::simulated::connect(twins, port, self.clock);
         }
-        hardware::connect(driver, port, self.clock)
+        hardware::connect(self.instrument, driver, port, self.clock)
     }
 }
 

@@ -18,7 +18,7 @@ use std::collections::BTreeMap;
 pub fn open_hardware(checked: &Checked, clock: Clock) -> Result<Opened, BenchError> {
     let instrument = &checked.instrument;
     let cameras = cameras(instrument, clock)?;
-    let devices = devices(instrument, clock, |driver, port| connect(driver, port, clock), cameras)?;
+    let devices = devices(instrument, clock, |driver, port| connect(instrument, driver, port, clock), cameras)?;
     Ok(Opened {
         bench: Bench::new(devices, Settle::of(instrument)),
         seed: None,
@@ -31,7 +31,7 @@ pub fn open_hardware(checked: &Checked, clock: Clock) -> Result<Opened, BenchErr
 pub(super) fn direct(instrument: &Instrument, clock: Clock) -> Result<Devices, BenchError> {
     let real = instrument.camera.iter().filter(|(_, c)| !c.driver.starts_with("sim-"));
     let cameras = real.filter_map(|(name, c)| Some((name.clone(), camera(name, c, clock).ok()?))).collect();
-    devices(instrument, clock, |driver, port| connect(driver, port, clock), cameras)
+    devices(instrument, clock, |driver, port| connect(instrument, driver, port, clock), cameras)
 }
 
 /// The real cameras of an instrument; simulated ones are refused.
@@ -64,12 +64,19 @@ pub(super) fn camera(name: &str, camera: &instrument::Camera, clock: Clock) -> R
 }
 
 #[cfg(feature = "serial")]
-pub(super) fn connect(driver: &str, port: &str, clock: Clock) -> Result<Box<dyn Connector>, BenchError> {
+pub(super) fn connect(
+    instrument: &Instrument,
+    driver: &str,
+    port: &str,
+    clock: Clock,
+) -> Result<Box<dyn Connector>, BenchError> {
     let baud = table::lookup(driver)?.baud;
-    Ok(Box::new(goniod_drivers::transport::SerialConnector::new(port, baud, clock)))
+    let asked = instrument.holder.flow_control.filter(|_| instrument.holder.port == port);
+    let flow = asked.unwrap_or_else(|| table::flow_control(driver));
+    Ok(Box::new(goniod_drivers::transport::SerialConnector::new(port, baud, clock).with_flow(flow)))
 }
 
 #[cfg(not(feature = "serial"))]
-pub(super) fn connect(_: &str, _: &str, _: Clock) -> Result<Box<dyn Connector>, BenchError> {
+pub(super) fn connect(_: &Instrument, _: &str, _: &str, _: Clock) -> Result<Box<dyn Connector>, BenchError> {
     Err(BenchError::Lacks { what: "serial ports", feature: "serial" })
 }

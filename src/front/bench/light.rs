@@ -53,7 +53,9 @@ pub(super) fn monochromator(
 pub(super) fn spectrometer(instrument: &Instrument, clock: Clock) -> Result<Option<Box<dyn Spectrometer>>, BenchError> {
     let Some(spectrometer) = &instrument.spectrometer else { return Ok(None) };
     let config = SpectrometerConfig { name: "spectrometer".to_owned(), serial: spectrometer.serial.clone() };
-    Ok(Some(table::spectrometer(&spectrometer.driver, usb(&spectrometer.port, clock)?, config, clock)?))
+    let port = spectrometer.port.as_str();
+    let connector = if port.starts_with("sim:") { simulated(port, &config.serial, clock)? } else { usb(port, clock)? };
+    Ok(Some(table::spectrometer(&spectrometer.driver, connector, config, clock)?))
 }
 
 #[cfg(feature = "usb")]
@@ -65,4 +67,12 @@ fn usb(port: &str, clock: Clock) -> Result<Box<dyn UsbConnector>, BenchError> {
 #[cfg(not(feature = "usb"))]
 fn usb(_: &str, _: Clock) -> Result<Box<dyn UsbConnector>, BenchError> {
     Err(BenchError::Lacks { what: "USB instruments", feature: "usb" })
+}
+
+#[cfg(feature = "sim")]
+use super::simulated::spectrometer as simulated;
+
+#[cfg(not(feature = "sim"))]
+fn simulated(_: &str, _: &str, _: Clock) -> Result<Box<dyn UsbConnector>, BenchError> {
+    Err(BenchError::Lacks { what: "simulated spectrometer", feature: "sim" })
 }

@@ -7,9 +7,11 @@ use crate::control::devices::bench::{Bench, Devices, Settle};
 use crate::control::sequencer::verbs::Verb;
 use goniod_drivers::clock::Clock;
 use goniod_drivers::contract::Camera;
-use goniod_drivers::transport::Connector;
+use goniod_drivers::transport::{Connector, UsbConnector};
 use goniod_sim::camera::FaultQueue;
 use goniod_sim::faults::{Counts, Mix, Targets, carry_out};
+use goniod_sim::firmware::usb::oceanoptics::{OceanModel, OceanSpec, OceanTwin};
+use goniod_sim::front::UsbBus;
 use goniod_sim::truth::error::SimError;
 use goniod_sim::twins::{PORTS, Twins, TwinsSpec};
 use std::collections::BTreeMap;
@@ -129,6 +131,19 @@ pub(super) fn connect(twins: &Twins, port: &str, clock: Clock) -> Result<Box<dyn
     })
 }
 
+/// Name of the simulated spectrometer's port.
+const SPECTROMETER: &str = "sim:spectrometer";
+
+/// A spectrometer with this serial number in the light of the lamp's model, powered up now.
+pub(super) fn spectrometer(port: &str, serial: &str, clock: Clock) -> Result<Box<dyn UsbConnector>, BenchError> {
+    if port != SPECTROMETER {
+        let (what, name, known) = ("spectrometer port", port.to_owned(), format!("`{SPECTROMETER}`"));
+        return Err(BenchError::Simulation(SimError::Unknown { what, name, known }));
+    }
+    let twin = OceanTwin::new(OceanSpec::new(OceanModel::Usb2000, serial), clock.now());
+    Ok(Box::new(UsbBus::new(port, twin).connector(clock)))
+}
+
 /// A rehearsal of a real instrument reaches the twins whatever the instrument's ports are called; a light monitor of
 /// another make is played by the twin that there is.
 pub(super) fn twin_ports(instrument: &Instrument) -> Instrument {
@@ -136,6 +151,10 @@ pub(super) fn twin_ports(instrument: &Instrument) -> Instrument {
     twins.holder.port = "sim:holder".to_owned();
     twins.filter_wheel.port = "sim:filter-wheel".to_owned();
     twins.shutter.port = "sim:shutter".to_owned();
+    if let Some(changer) = &mut twins.holder.changer {
+        // Nobody stands at a simulated bench: the twin's third axis turns the sample.
+        changer.driver = None;
+    }
     if let Some(monitor) = &mut twins.light_monitor {
         monitor.port = "sim:light-monitor".to_owned();
         monitor.driver = "newport-1830c".to_owned();

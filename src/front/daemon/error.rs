@@ -41,6 +41,11 @@ pub enum DaemonError {
     /// Too many entries wait.
     #[error("{0} entries wait already, more are not taken; remove some, or wait until one is done")]
     Full(usize),
+    /// The largest number is taken, by a folder that somebody else made.
+    #[error(
+        "the queue has no number after {0}; move the folder of that entry out of the queue and start the daemon again"
+    )]
+    NumbersEnd(u32),
     /// The copies of a scan are not what was queued.
     #[error("the copy of the scan cannot be used: {why}; put the scan into the queue again")]
     Snapshot {

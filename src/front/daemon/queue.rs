@@ -138,13 +138,13 @@ impl Queue {
     /// Gives a number and a place for copies away; nothing is in the queue yet.
     ///
     /// # Errors
-    /// [`DaemonError::Full`].
+    /// [`DaemonError::Full`], [`DaemonError::NumbersEnd`].
     pub fn stage(&mut self) -> Result<Staged, DaemonError> {
         if self.waiting() >= MOST_WAITING {
             return Err(DaemonError::Full(MOST_WAITING));
         }
-        self.highest += 1;
-        let id = self.highest;
+        let id = self.highest.checked_add(1).ok_or(DaemonError::NumbersEnd(self.highest))?;
+        self.highest = id;
         Ok(Staged { id, building: self.folder.join(format!("{TEMPORARY_PREFIX}{id:06}")) })
     }
 
@@ -221,7 +221,7 @@ impl Queue {
             let _ = fs::remove_dir_all(&path);
             return;
         }
-        let number: Option<u32> = name.parse().ok();
+        let number: Option<u32> = name.parse().ok().filter(|n| format!("{n:06}") == name);
         self.highest = self.highest.max(number.unwrap_or(0));
         let read = fs::read_to_string(path.join(ENTRY)).map_err(|e| format!("{ENTRY} cannot be read: {e}"));
         let entry = read.and_then(|text| serde_json::from_str::<Entry>(&text).map_err(|e| format!("{ENTRY}: {e}")));

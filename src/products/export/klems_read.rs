@@ -9,6 +9,9 @@ use crate::engine::optics::side::Side;
 use crate::products::context::side_words;
 use roxmltree::{Document, Node};
 
+/// Patches of a basis at most: Klems Full has 145.
+const MOST_PATCHES: usize = 4096;
+
 /// What a Klems file says.
 #[derive(Debug, Clone, PartialEq)]
 pub struct KlemsFile {
@@ -73,10 +76,14 @@ fn read_basis(node: Node) -> Result<AngleBasis, ExportError> {
             Ok(Ring {
                 lower_deg: number_of(b, "LowerTheta")?,
                 upper_deg: number_of(b, "UpperTheta")?,
-                patches: number_of(b, "nPhis")? as usize,
+                patches: patches_of(b)?,
             })
         })
         .collect::<Result<Vec<_>, ExportError>>()?;
+    let total: usize = rings.iter().map(|r| r.patches).sum();
+    if total > MOST_PATCHES {
+        return Err(malformed(format!("angle basis '{name}' has {total} patches, at most {MOST_PATCHES} can be read")));
+    }
     if rings.is_empty() || rings.iter().any(|r| r.patches == 0 || r.upper_deg <= r.lower_deg) {
         return Err(malformed(format!("angle basis '{name}' has no rings, or a ring without patches or width")));
     }
@@ -117,7 +124,14 @@ fn text_of(node: Node, tag: &str) -> Result<String, ExportError> {
 
 fn number_of(node: Node, tag: &str) -> Result<f64, ExportError> {
     let text = text_of(node, tag)?;
-    text.parse().map_err(|_| malformed(format!("{tag} is '{text}', a number is needed")))
+    let number = text.parse().ok().filter(|n: &f64| n.is_finite());
+    number.ok_or_else(|| malformed(format!("{tag} is '{text}', a number is needed")))
+}
+
+fn patches_of(node: Node) -> Result<usize, ExportError> {
+    let n = number_of(node, "nPhis")?;
+    let whole = n.fract() == 0.0 && (1.0..=MOST_PATCHES as f64).contains(&n);
+    if whole { Ok(n as usize) } else { Err(malformed(format!("nPhis is {n}, 1 to {MOST_PATCHES} are possible"))) }
 }
 
 fn malformed(what: String) -> ExportError {
