@@ -94,7 +94,7 @@ impl AxisConfig {
     }
 
     /// Why `target` may not be commanded by the instrument file; `None` where it may.
-    pub(crate) fn beyond(&self, target: Degrees) -> Option<String> {
+    pub fn beyond(&self, target: Degrees) -> Option<String> {
         let (min, max) = (self.min, self.max);
         let within = target.0 >= min.0 && target.0 <= max.0;
         (!within).then(|| {
@@ -103,7 +103,7 @@ impl AxisConfig {
     }
 
     /// What is wrong with where the axis came to stand; `None` within the tolerance.
-    pub(crate) fn missed(&self, target: Degrees, reached: Degrees) -> Option<String> {
+    pub fn missed(&self, target: Degrees, reached: Degrees) -> Option<String> {
         let within = reached.distance(target).0 <= self.tolerance.0;
         (!within).then(|| {
             let tolerance = self.tolerance;
@@ -131,13 +131,13 @@ pub struct WheelConfig {
 
 impl WheelConfig {
     /// Why `slot` cannot be selected; `None` where the wheel has it.
-    pub(crate) fn beyond(&self, slot: Slot) -> Option<String> {
+    pub fn beyond(&self, slot: Slot) -> Option<String> {
         let within = (1..=self.places).contains(&slot.0);
         (!within).then(|| format!("{slot} does not exist, the wheel has slots 1 to {}; nothing was sent", self.places))
     }
 
     /// What there is to say of a wheel that was last commanded to one place and stands at another.
-    pub(crate) fn astray(commanded: Option<u8>, stands: Option<u8>) -> Option<String> {
+    pub fn astray(commanded: Option<u8>, stands: Option<u8>) -> Option<String> {
         match (commanded, stands) {
             (Some(was), Some(is)) if was != is => Some(format!("moved by hand from slot {was} to slot {is}")),
             (_, None) => Some("the wheel tells no place".to_owned()),

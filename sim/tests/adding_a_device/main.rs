@@ -7,7 +7,7 @@ use goniod_drivers::{clock, contract, error, transport, units};
 
 /// `drivers/src/devices/` with the new driver in it.
 mod devices {
-    pub use goniod_drivers::devices::thorlabs_fw212c;
+    pub use goniod_drivers::devices::WheelConfig;
     pub mod halden_cw6;
     #[allow(dead_code)]
     #[path = "../../../../drivers/src/devices/line_wire.rs"]

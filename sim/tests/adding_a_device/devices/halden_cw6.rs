@@ -2,8 +2,8 @@
 //!
 //! Source: the sheet in `docs/adding-a-device.md`. There is no word on this wire that writes into the device's memory.
 
+use super::WheelConfig;
 use super::line_wire::{Dialect, LineWire, NoOp};
-use super::thorlabs_fw212c::WheelConfig;
 use crate::clock::Clock;
 use crate::contract::{Device, FilterWheel, Health, Identity};
 use crate::error::{DeviceError, ErrorKind, Result};
@@ -152,12 +152,8 @@ impl Device for HaldenCw6 {
 
     async fn health(&mut self) -> Result<Health> {
         self.check_open()?;
-        let mut warnings = Vec::new();
-        match (self.commanded, self.read_place().await?) {
-            (Some(was), Some(is)) if was != is => warnings.push(format!("moved by hand from slot {was} to slot {is}")),
-            (_, None) => warnings.push("the wheel tells no place".to_owned()),
-            _ => {}
-        }
+        let place = self.read_place().await?;
+        let mut warnings: Vec<String> = WheelConfig::astray(self.commanded, place).into_iter().collect();
         if self.wire.unsolicited > 0 {
             warnings.push(format!("{} times bytes came unasked", self.wire.unsolicited));
         }
@@ -183,8 +179,7 @@ impl FilterWheel for HaldenCw6 {
     }
 
     async fn select(&mut self, slot: Slot) -> Result<Slot> {
-        if !(1..=PLACES).contains(&slot.0) {
-            let what = format!("{slot} does not exist, the wheel has slots 1 to {PLACES}; nothing was sent");
+        if let Some(what) = self.config.beyond(slot) {
             return Err(self.error(ErrorKind::Refused, what));
         }
         self.check_open()?;
