@@ -4,18 +4,45 @@ use goniod_drivers::conformance::{Finding, SAFE, Verdict};
 use goniod_sim::conformance::noise::Counts;
 use goniod_sim::conformance::{Conduct, checks};
 
-/// Where each promise about a camera is held, by check; the rest speaks of byte lines.
-const ELSEWHERE: [(&str, &str, &str); 9] = [
-    ("another device", "drivers/tests/v4l2/settings.rs", "sim/tests/gige/link.rs"),
-    ("power-up", "drivers/tests/v4l2/settings.rs", "sim/tests/gige/labels.rs"),
-    ("silence", "drivers/tests/v4l2/faults.rs", "sim/tests/gige/link.rs"),
-    ("late", "drivers/tests/v4l2/labels.rs", "sim/tests/gige/labels.rs"),
-    ("lost", "drivers/tests/v4l2/faults.rs", "sim/tests/gige/losses.rs"),
-    ("doubled", "drivers/tests/v4l2/labels.rs", "sim/tests/gige/labels.rs"),
-    ("previous", "drivers/tests/v4l2/labels.rs", "sim/tests/gige/labels.rs"),
-    ("unplug", "drivers/tests/v4l2/faults.rs", "sim/tests/gige/link.rs"),
-    ("noise", "drivers/tests/v4l2/labels.rs", "sim/tests/gige/losses.rs"),
+/// Tests that hold the promises for cameras: check, then file and test of each driver. Empty: it speaks of byte lines.
+const ELSEWHERE: [(&str, [&str; 2], [&str; 2]); 14] = [
+    (
+        "another device",
+        ["settings.rs", "what_cannot_be_measured_with_is_refused_in_a_sentence"],
+        ["link.rs", "it_knows_the_camera_and_refuses_another_one"],
+    ),
+    ("before opening", ["faults.rs", "nothing_is_armed_or_taken_from_a_camera_without_settings"], ["", ""]),
+    (
+        "nothing sent",
+        ["settings.rs", "exposures_beyond_the_limit_are_sums_with_their_count_or_refused"],
+        ["link.rs", "a_value_out_of_range_is_refused_and_the_camera_goes_on"],
+    ),
+    ("power-up", ["faults.rs", UNPLUGGED], ["losses.rs", RESTARTED]),
+    (
+        "busy",
+        ["labels.rs", "an_arming_without_new_settings_waits_for_a_frame_that_starts_later"],
+        ["link.rs", "arming_anew_in_mid_exposure_gives_the_new_exposure_only"],
+    ),
+    (
+        "silence",
+        ["faults.rs", "a_stream_that_stands_is_a_timeout_with_its_time"],
+        ["losses.rs", "a_mute_camera_times_out_with_the_likely_cause"],
+    ),
+    ("late", ["labels.rs", SWEPT], ["labels.rs", LABELS]),
+    ("lost", ["labels.rs", SWEPT], ["streaming.rs", "five_packets_lost_of_a_thousand_are_all_recovered"]),
+    ("cut", ["labels.rs", SWEPT], ["link.rs", "short_frames_are_counted_and_their_pixels_never_seen"]),
+    ("doubled", ["labels.rs", SWEPT], ["labels.rs", LABELS]),
+    ("previous", ["labels.rs", SWEPT], ["labels.rs", LABELS]),
+    ("restart", ["faults.rs", UNPLUGGED], ["losses.rs", RESTARTED]),
+    ("unplug", ["faults.rs", UNPLUGGED], ["losses.rs", "a_camera_without_power_is_noticed_and_taken_up_again"]),
+    ("noise", ["labels.rs", SWEPT], ["labels.rs", LABELS]),
 ];
+const UNPLUGGED: &str = "an_unplugged_camera_is_lost_until_opened_and_everything_is_proven_again";
+const RESTARTED: &str = "a_quick_restart_with_power_up_features_never_mislabels";
+const SWEPT: &str = "swept_brackets_never_carry_a_wrong_label";
+const LABELS: &str = "no_label_is_wrong_with_a_software_trigger";
+/// Folders of those files.
+const FOLDERS: [&str; 2] = ["drivers/tests/v4l2", "sim/tests/gige"];
 
 /// The cameras' columns of the page.
 pub fn conducts() -> Vec<Conduct> {
@@ -30,10 +57,11 @@ fn camera(driver: &'static str, safe: &[Finding]) -> Conduct {
     let v4l2 = driver == "v4l2";
     let rest = checks().into_iter().skip(safe.len()).map(|check| {
         let held = ELSEWHERE.iter().find(|(name, ..)| *name == check.name);
-        let why = match held {
-            Some((_, shim, gige)) => format!("held by {}", if v4l2 { shim } else { gige }),
-            None if SAFE.contains(&check) => "held by drivers/tests/v4l2/conformance.rs, where the shim is".to_owned(),
-            None => "speaks of a byte line; frames are judged one by one (docs/cameras.md)".to_owned(),
+        let [file, test] = held.map_or(["", ""], |(_, shim, gige)| if v4l2 { *shim } else { *gige });
+        let why = match file {
+            "" if SAFE.contains(&check) => "held by drivers/tests/v4l2/conformance.rs, where the shim is".to_owned(),
+            "" => "speaks of a byte line; frames are judged one by one (docs/cameras.md)".to_owned(),
+            file => format!("held by {}/{file}, `{test}`", FOLDERS[usize::from(!v4l2)]),
         };
         Finding { check, verdict: Verdict::NotApplicable(why) }
     });
@@ -41,12 +69,15 @@ fn camera(driver: &'static str, safe: &[Finding]) -> Conduct {
 }
 
 #[test]
-fn the_files_named_for_cameras_exist() {
+fn the_tests_named_for_cameras_exist() {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
-    let named = ELSEWHERE.iter().flat_map(|(_, a, b)| [*a, *b]).chain(["drivers/tests/v4l2/conformance.rs"]);
-    for file in named {
-        assert!(root.join(file).exists(), "{file}");
+    for (check, shim, gige) in ELSEWHERE {
+        for (folder, [file, test]) in FOLDERS.into_iter().zip([shim, gige]).filter(|(_, [file, _])| !file.is_empty()) {
+            let text = std::fs::read_to_string(root.join(folder).join(file)).unwrap();
+            assert!(text.contains(&format!("fn {test}()")), "{check}: {folder}/{file} has no test {test}");
+        }
     }
+    assert!(root.join("drivers/tests/v4l2/conformance.rs").exists());
 }
 
 #[cfg(feature = "aravis")]
