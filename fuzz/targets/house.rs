@@ -29,7 +29,7 @@ pub const TARGETS: &[Target] = &[
     Target { name: "instrument-checked", run: |bytes| checked("instrument.sim.toml", bytes), mutations: 40 },
     Target { name: "calibration-checked", run: |bytes| checked("calibration/ccd.sim.toml", bytes), mutations: 30 },
     Target { name: "plan-file", run: plan, mutations: 60 },
-    Target { name: "journal", run: journal, mutations: 200 },
+    Target { name: "journal", run: journal, mutations: 100 },
     Target { name: "queue-entry", run: queue_entry, mutations: 600 },
     Target { name: "queue-folder", run: queue_folder, mutations: 1000 },
     Target { name: "spectrum-csv", run: spectrum, mutations: 4000 },
