@@ -2,13 +2,14 @@
 //! simulated bench in real time, Aravis brings the frames. No label may be wrong, and the BSDF is that of the in-process
 //! camera within the stated uncertainties.
 
-use super::{Files, nothing_wrong};
+use super::{nothing_wrong, rejections};
 use crate::common::Lab;
 use goniod::config::check::{Checked, Options, check};
 use goniod::control::events::EventBus;
 use goniod::engine::bsdf::set::PatchValue;
 use goniod::front::bench::{Rehearsal, open_with_own_cameras};
 use goniod::front::night;
+use goniod::front::oracle::Files;
 use goniod::products::reduce::{Run, reduce};
 use goniod_drivers::clock::Clock;
 use goniod_sim::bench::Bench;
@@ -115,8 +116,8 @@ async fn the_near_infrared_measured_through_a_gige_camera_is_the_same_bsdf() {
     let lab = lab();
     let scan = lab.scan("nir.toml", SCAN);
     let run = measure_through_aravis(&lab, &scan).await;
-    let files = Files::open(&run);
-    let verdict = files.judge();
+    let files = Files::open(&run).unwrap();
+    let verdict = files.judge().unwrap();
     nothing_wrong(&verdict);
     assert_eq!((verdict.stored, verdict.missing), (files.document.plan.steps.len(), 0));
 
@@ -132,7 +133,7 @@ async fn the_near_infrared_measured_through_a_gige_camera_is_the_same_bsdf() {
     eprintln!(
         "{} frames, {} rejected, 0 wrong labels; {within} of {compared} patches within k = 2; mean ratio of {} patches {mean:.5} +- {u:.5}",
         verdict.stored,
-        files.rejections().len(),
+        rejections(&files).len(),
         ratios.len()
     );
     assert!(compared > 5_000 && ratios.len() > 500, "{compared} patches, {} read well", ratios.len());
