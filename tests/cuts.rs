@@ -509,7 +509,8 @@ fn a_program_killed_at_random_times_goes_on_where_it_was() {
     let (scan, instrument) = (common::text(&lab.path("config/scans/night.toml")), common::text(&lab.instrument()));
     let draw = Key::new(11);
     let (mut kills, mut runs, mut went_on) = (0, 0, 0);
-    while kills < KILLS {
+    let wanted = std::env::var("GONIOD_KILLS").ok().and_then(|n| n.parse().ok()).unwrap_or(KILLS);
+    while kills < wanted {
         let folder = tiny.runs.path().join(format!("run-{runs}"));
         let at = common::text(&folder);
         let begin = ["rehearse", &scan, "--instrument", &instrument, "--runs", &at, "--no-products", "--json"];
@@ -559,7 +560,7 @@ fn a_program_killed_at_random_times_goes_on_where_it_was() {
         runs += 1;
     }
     eprintln!("{kills} kills over {runs} runs; {went_on} times it went on from frames before");
-    assert!(went_on >= 30, "{went_on}");
+    assert!(went_on >= wanted as usize * 3 / 10, "{went_on}");
 }
 
 /// Until the run has more than `before` frames, or the program is over.
