@@ -32,7 +32,7 @@ const MS: fn(u64) -> Duration = Duration::from_millis;
 
 fn ways() -> Vec<Way> {
     let nothing: fn(&mut fakes::World) = |_| ();
-    let hangs: fn(&mut fakes::World) = |w| drop(w.hung.insert("tilt".to_owned()));
+    let hangs: fn(&mut fakes::World) = |w| w.hung.extend(["tilt".to_owned()]);
     let warm: fn(&mut fakes::World) = |w| w.temperature_c = 45.0;
     vec![
         Way { state: "checking", at: MS(0), fate: hangs, before: None, asked: MS(5_000) },
