@@ -97,9 +97,7 @@ impl Journal {
     /// # Errors
     /// [`ArchiveError::NotARun`] for another schema version, [`ArchiveError::Journal`] when it cannot be opened.
     pub fn open(path: &Path, disk: Arc<dyn Disk>) -> Result<Journal> {
-        let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-        let db = Connection::open_with_flags(path, flags).map_err(|e| ArchiveError::sql(path, &e))?;
-        let mut journal = Journal::on(db, path, disk);
+        let mut journal = Journal::on(connect(path)?, path, disk);
         journal.check_version()?;
         journal.pragmas()?;
         journal.fold();
@@ -377,7 +375,9 @@ impl Journal {
         if self.marks.lift().is_ok() {
             // Busy readers leave part of the log; it is as good as before.
             let _ = self.db.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |row| row.get::<_, i64>(0));
-            self.marks.set();
+            if let Err(e) = self.mark_file() {
+                self.failed = Some(e.to_string());
+            }
         }
         let log = std::fs::metadata(self.path.with_extension("sqlite-wal")).map_or(0, |m| m.len());
         self.fold_at = log + FOLD_BYTES;
@@ -393,6 +393,16 @@ impl Journal {
         tx.commit().map_err(sql)?;
         told(Commit::Done)?;
         Ok(value)
+    }
+
+    /// Marks the file as it is now. A process that closes a file loses all its locks on it (fcntl(2)), so SQLite has the
+    /// journal closed while it is read.
+    fn mark_file(&mut self) -> Result<()> {
+        let aside = Connection::open_in_memory().map_err(|e| self.error(&e))?;
+        drop(std::mem::replace(&mut self.db, aside));
+        self.marks.set();
+        self.db = connect(&self.path)?;
+        self.pragmas()
     }
 
     fn must_work(&self) -> Result<()> {
@@ -419,6 +429,11 @@ impl Journal {
     fn error(&self, source: &rusqlite::Error) -> ArchiveError {
         ArchiveError::sql(&self.path, source)
     }
+}
+
+fn connect(path: &Path) -> Result<Connection> {
+    let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    Connection::open_with_flags(path, flags).map_err(|e| ArchiveError::sql(path, &e))
 }
 
 fn set_state(tx: &Transaction<'_>, step: u32, state: &str, reason: &str) -> rusqlite::Result<()> {
