@@ -49,7 +49,7 @@ sides = ["transmission-front"]
 use = ["f1", "f2", "f3", "f4", "f5", "f6", "f7", "f8", "nir1", "nir2", "nir3"]
 [exposure]
 policy = "ladder"
-ratio = 8.0
+ratio = 4.0
 shortest_s = 0.004
 longest_s = 2.5
 [dark]
