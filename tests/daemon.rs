@@ -179,6 +179,54 @@ fn ended_by_sigterm_the_run_is_stopped_well_and_gone_on_with() {
     assert_eq!(daemon.end(), Some(0));
 }
 
+#[test]
+fn ended_while_it_is_paused_or_ended_twice_it_ends_well_and_goes_on_at_the_next_start() {
+    let lab = quick_lab(true);
+    let mut daemon = Daemon::start(&lab);
+    let scan = text(&lab.scan("long.toml", &scan_text("long", true)));
+    assert_eq!(daemon.client(&["queue", "add", &scan]).code, 0);
+    let run_of = |d: &Daemon| d.json("GET", "/v1/status", "")["run"].clone();
+    for twice in [false, true] {
+        daemon.until("it takes exposures", || run_of(&daemon)["state"] == "running" && run_of(&daemon)["stored"] != 0);
+        let run = lab.path("runs").join(run_of(&daemon)["run"].as_str().unwrap());
+        if twice {
+            daemon.ask_to_end();
+        } else {
+            assert_eq!(daemon.client(&["pause"]).code, 0);
+            daemon.until("it is paused", || run_of(&daemon)["state"] == "paused");
+        }
+        assert_eq!(daemon.end(), Some(0));
+        let said = lab.goniod(&["verify", &text(&run)]);
+        assert!(said.out.contains("sound, sealed"), "{}{}", said.out, said.err);
+        daemon = Daemon::start(&lab);
+    }
+    all_done(&daemon, 1);
+    let list = daemon.json("GET", "/v1/queue", "");
+    assert_eq!(
+        (&list["entries"][0]["outcome"]["missing"], &list["entries"][0]["outcome"]["planned"]),
+        (&0.into(), &0.into())
+    );
+    assert_eq!(daemon.end(), Some(0));
+}
+
+#[test]
+fn the_bench_is_made_safe_by_hand_when_the_daemon_is_dead_and_not_behind_its_back() {
+    let lab = quick_lab(false);
+    let instrument = text(&lab.instrument());
+    let direct = || lab.goniod(&["safe", "--direct", "--instrument", &instrument]);
+    let daemon = Daemon::start(&lab);
+    let said = direct();
+    assert_eq!(said.code, 10, "{}{}", said.out, said.err);
+    let holder = format!("process {} (goniod serve", daemon.pid());
+    assert!(said.err.contains(&holder) && said.err.contains("`goniod safe` asks the daemon"), "{}", said.err);
+    assert_eq!(said.err.trim().lines().count(), 1, "one sentence: {}", said.err);
+    assert_eq!(daemon.client(&["safe"]).code, 0);
+    daemon.kill();
+    let said = direct();
+    assert_eq!(said.code, 0, "{}{}", said.out, said.err);
+    assert!(said.out.contains("confirmed"), "{}", said.out);
+}
+
 /// The events of a run that is over, from the whole journal and from its middle.
 fn events_are_told_from_any_place_of_the_journal(daemon: &Daemon, run: &str) {
     let whole = daemon.listen(&format!("?since={run}/-1"), "event: run-ended");

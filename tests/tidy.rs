@@ -193,6 +193,29 @@ fn no_unfinished_or_private_words() {
     report("words that may not stand in the code", found);
 }
 
+/// `docs/reliability.md` names a test for every promise, and each of them is there.
+#[test]
+fn every_promise_of_the_night_names_a_test_that_exists() {
+    let text = fs::read_to_string(root().join("docs/reliability.md")).unwrap_or_default();
+    let mut found = Vec::new();
+    let rows: Vec<&str> =
+        text.lines().filter(|line| line.starts_with("| ") && !line.starts_with("| promise")).collect();
+    for row in &rows {
+        let names: Vec<(&str, &str)> = row.split('`').filter_map(|word| word.split_once("::")).collect();
+        if names.is_empty() {
+            found.push(format!("no test: {row}"));
+        }
+        for (file, test) in names {
+            let source = fs::read_to_string(root().join(file)).unwrap_or_default();
+            if !source.contains(&format!("fn {test}(")) {
+                found.push(format!("{file} has no test {test}"));
+            }
+        }
+    }
+    assert!(rows.len() >= 20, "the table is gone");
+    report("promises without their test", found);
+}
+
 #[test]
 fn every_room_of_the_tree_is_on_the_map() {
     let readme = fs::read_to_string(root().join("README.md")).unwrap_or_default();

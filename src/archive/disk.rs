@@ -9,10 +9,14 @@ use super::error::{ArchiveError, Result};
 use rustix::fs::{FallocateFlags, fallocate, statvfs};
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
+use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
 /// Names that begin so are unfinished writes; a crash may leave one, nothing ever reads one.
 pub const TEMPORARY_PREFIX: &str = ".tmp-";
+
+/// What fills reserved room where the file system cannot reserve.
+pub(super) const FILLING: u8 = 0xA5;
 
 /// Where a journal commit stands when the disk is told of it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -55,7 +59,9 @@ pub trait Disk: Send + Sync {
     /// ENOSPC.
     fn reserve(&self, file: &mut File, _path: &Path, bytes: u64) -> io::Result<()> {
         match fallocate(&*file, FallocateFlags::empty(), 0, bytes) {
-            Err(rustix::io::Errno::OPNOTSUPP) => io::copy(&mut io::Read::take(io::repeat(0xA5), bytes), file).map(drop),
+            Err(rustix::io::Errno::OPNOTSUPP) => {
+                io::copy(&mut io::Read::take(io::repeat(FILLING), bytes), file).map(drop)
+            }
             other => Ok(other?),
         }
     }
@@ -91,6 +97,15 @@ pub trait Disk: Send + Sync {
     fn sync_folder(&self, folder: &Path) -> io::Result<()> {
         let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
         File::open(folder)?.sync_all()
+    }
+
+    /// Overwrites the first bytes of a small file; makes it where there is none. Nothing is synced.
+    ///
+    /// # Errors
+    /// The old bytes then stay, or part of the new ones.
+    fn mark(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        let file = OpenOptions::new().write(true).create(true).truncate(false).open(path)?;
+        file.write_all_at(bytes, 0)
     }
 
     /// Told around each commit of the journal at `path`, whose file operations are SQLite's own.

@@ -6,9 +6,11 @@
 use super::disk::{Commit, Disk, RealDisk};
 use super::error::{ArchiveError, Result};
 use super::layout::{ArrayLayout, RunLayout, StepLayout};
+use super::marks::Marks;
 use super::rows::{EventRow, FileRow, FrameRow, StepRow, StepState, Summary};
 use super::space::Ballast;
 use crate::digest::sha256_hex;
+use rusqlite::config::DbConfig;
 use rusqlite::{Connection, OpenFlags, Params, Row, Transaction, params};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -19,6 +21,9 @@ pub const SCHEMA_VERSION: i64 = 1;
 
 /// How long a reader waits for the writer's lock before it gives an error.
 const BUSY_LIMIT: std::time::Duration = std::time::Duration::from_secs(5);
+
+/// The log is folded into the file after so many bytes, so that closing the journal needs little room.
+const FOLD_BYTES: u64 = 4 << 20;
 
 const SCHEMA: &str = "
 CREATE TABLE run(key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
@@ -39,6 +44,9 @@ pub struct Journal {
     path: PathBuf,
     disk: Arc<dyn Disk>,
     ballast: Ballast,
+    marks: Marks,
+    /// Length of the log at which it is folded into the file.
+    fold_at: u64,
     /// A commit met a failing disk; what it wrote is unknown, so nothing more is written through this connection.
     failed: Option<String>,
 }
@@ -89,11 +97,10 @@ impl Journal {
     /// # Errors
     /// [`ArchiveError::NotARun`] for another schema version, [`ArchiveError::Journal`] when it cannot be opened.
     pub fn open(path: &Path, disk: Arc<dyn Disk>) -> Result<Journal> {
-        let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-        let db = Connection::open_with_flags(path, flags).map_err(|e| ArchiveError::sql(path, &e))?;
-        let journal = Journal::on(db, path, disk);
+        let mut journal = Journal::on(connect(path)?, path, disk);
         journal.check_version()?;
         journal.pragmas()?;
+        journal.fold();
         Ok(journal)
     }
 
@@ -307,10 +314,13 @@ impl Journal {
     ///
     /// # Errors
     /// [`ArchiveError::Journal`] and the disk's kinds.
-    pub fn close(self) -> Result<()> {
+    pub fn close(mut self) -> Result<()> {
         self.must_work()?;
+        self.marks.remove()?;
         let checkpoint = self.db.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |row| row.get::<_, i64>(0));
         checkpoint.map_err(|e| self.error(&e))?;
+        let tidy = self.db.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, false);
+        tidy.map_err(|e| self.error(&e))?;
         self.db.close().map_err(|(_, e)| ArchiveError::sql(&self.path, &e))
     }
 
@@ -319,6 +329,9 @@ impl Journal {
             self.db.busy_timeout(BUSY_LIMIT)?;
             self.db.pragma_update_and_check(None, "journal_mode", "WAL", |_| Ok(()))?;
             self.db.pragma_update(None, "synchronous", "FULL")?;
+            // The file changes only where its marks are lifted before: in `fold` and `close`.
+            self.db.pragma_update_and_check(None, "wal_autocheckpoint", 0, |_| Ok(()))?;
+            self.db.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)?;
             self.db.pragma_update(None, "foreign_keys", "ON")
         };
         set().map_err(|e| self.error(&e))
@@ -336,7 +349,8 @@ impl Journal {
 
     fn on(db: Connection, path: &Path, disk: Arc<dyn Disk>) -> Journal {
         let run = path.parent().unwrap_or(Path::new(""));
-        Journal { db, path: path.to_path_buf(), ballast: Ballast::of(run, Arc::clone(&disk)), disk, failed: None }
+        let (ballast, marks) = (Ballast::of(run, Arc::clone(&disk)), Marks::of(path, Arc::clone(&disk)));
+        Journal { db, path: path.to_path_buf(), disk, ballast, marks, fold_at: FOLD_BYTES, failed: None }
     }
 
     /// One transaction, all or nothing. A full disk is tried once more with the ballast's room; a failing one ends the
@@ -347,10 +361,26 @@ impl Journal {
         if result.as_ref().is_err_and(ArchiveError::is_full) && self.ballast.release() {
             result = self.once(&work);
         }
-        if let Err(ArchiveError::Failing { message, .. }) = &result {
-            self.failed = Some(message.clone());
+        match &result {
+            Err(ArchiveError::Failing { message, .. }) => self.failed = Some(message.clone()),
+            Ok(_) if self.marks.committed().is_some_and(|log| log >= self.fold_at) => self.fold(),
+            _ => {}
         }
         result
+    }
+
+    /// Brings the log into the file and marks the file. Where that fails, the log stays and goes on growing: no commit
+    /// depends on it, and a disk that is ill is told by the next commit.
+    fn fold(&mut self) {
+        if self.marks.lift().is_ok() {
+            // Busy readers leave part of the log; it is as good as before.
+            let _ = self.db.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |row| row.get::<_, i64>(0));
+            if let Err(e) = self.mark_file() {
+                self.failed = Some(e.to_string());
+            }
+        }
+        let log = std::fs::metadata(self.path.with_extension("sqlite-wal")).map_or(0, |m| m.len());
+        self.fold_at = log + FOLD_BYTES;
     }
 
     fn once<T>(&mut self, work: &impl Fn(&Transaction<'_>) -> rusqlite::Result<T>) -> Result<T> {
@@ -363,6 +393,16 @@ impl Journal {
         tx.commit().map_err(sql)?;
         told(Commit::Done)?;
         Ok(value)
+    }
+
+    /// Marks the file as it is now. A process that closes a file loses all its locks on it (fcntl(2)), so SQLite has the
+    /// journal closed while it is read.
+    fn mark_file(&mut self) -> Result<()> {
+        let aside = Connection::open_in_memory().map_err(|e| self.error(&e))?;
+        drop(std::mem::replace(&mut self.db, aside));
+        self.marks.set();
+        self.db = connect(&self.path)?;
+        self.pragmas()
     }
 
     fn must_work(&self) -> Result<()> {
@@ -389,6 +429,11 @@ impl Journal {
     fn error(&self, source: &rusqlite::Error) -> ArchiveError {
         ArchiveError::sql(&self.path, source)
     }
+}
+
+fn connect(path: &Path) -> Result<Connection> {
+    let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    Connection::open_with_flags(path, flags).map_err(|e| ArchiveError::sql(path, &e))
 }
 
 fn set_state(tx: &Transaction<'_>, step: u32, state: &str, reason: &str) -> rusqlite::Result<()> {

@@ -7,6 +7,7 @@
 //!   frames.zarr/      Zarr v3: a group, one array a camera; one chunk = one frame = one immutable file
 //!   journal.sqlite    steps, frames, events; the row of a frame is committed after its file is in place
 //!   journal.seal      digests over the closed journal
+//!   journal.base      digest of journal.sqlite while the run is open; journal.head: how far its log is committed
 //!   journal.ballast   room for the last records of a full disk; only while the run is open
 //!   products/         can always be made again
 //! ```
@@ -15,6 +16,7 @@
 //! - [`frames`]: the frame store
 //! - [`journal`]: steps, frames and events in SQLite; [`rows`]: what its rows mean
 //! - [`layout`]: the shape of a run: arrays and steps
+//! - `marks`: what covers the bits of a journal that is open, `wal`: how far its log is whole
 //! - [`seal`]: digests over the closed journal and the products
 //! - [`verify`]: proves a run whole
 //! - [`disk`]: the one door to the file system; the atomic write
@@ -26,11 +28,13 @@ pub mod error;
 pub mod frames;
 pub mod journal;
 pub mod layout;
+mod marks;
 pub mod rows;
 pub mod rundir;
 pub mod seal;
 pub mod space;
 pub mod verify;
+mod wal;
 
 pub use disk::write_atomic;
 pub use error::{ArchiveError, Result};

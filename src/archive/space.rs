@@ -1,6 +1,6 @@
 //! Room on the disk: proven before a run begins, and a ballast that a full disk gives back for the last records.
 
-use super::disk::Disk;
+use super::disk::{Disk, FILLING};
 use super::error::{ArchiveError, Result};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -34,6 +34,11 @@ pub fn must_fit(disk: &dyn Disk, folder: &Path, forecast_bytes: u64) -> Result<(
         return Ok(());
     }
     Err(ArchiveError::NoRoom { path: folder.to_path_buf(), needed, free })
+}
+
+/// True when the ballast of the run directory `run` has a byte that was never written into it.
+pub(super) fn ballast_changed(run: &Path) -> bool {
+    std::fs::read(run.join(BALLAST)).is_ok_and(|bytes| bytes.iter().any(|b| *b != 0 && *b != FILLING))
 }
 
 // === impl Ballast ===

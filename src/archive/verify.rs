@@ -4,9 +4,11 @@ use super::disk::TEMPORARY_PREFIX;
 use super::error::{ArchiveError, Result};
 use super::frames::FRAMES;
 use super::journal::Journal;
+use super::marks;
 use super::rows::{FrameRow, StepRow, StepState, Summary};
 use super::rundir::{JOURNAL, RunDir};
 use super::seal::{PRODUCTS, PRODUCTS_SEAL, ProductFault, SEAL, check_products, journal_seal};
+use super::space::{BALLAST, ballast_changed};
 use crate::digest::sha256_hex;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -108,6 +110,10 @@ fn check_journal(path: &Path, report: &mut Verification) -> Result<()> {
             return Ok(());
         }
     };
+    if !report.sealed {
+        report.findings.extend(marks::check(&file)?.into_iter().map(Finding::JournalDamaged));
+        report.findings.extend(ballast_changed(path).then(|| Finding::FileChanged(BALLAST.to_owned())));
+    }
     let damage = journal.integrity()?;
     report.findings.extend(damage.into_iter().map(Finding::JournalDamaged));
     if report.sealed && seal != journal_seal(&sha256_hex(&bytes), &journal.row_digest()?).as_bytes() {

@@ -9,6 +9,8 @@ use goniod_drivers::clock::UtcMicros;
 use goniod_drivers::contract::Identity;
 use goniod_drivers::error::ErrorKind;
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use tokio::sync::broadcast;
 
 /// Events a slow listener may fall behind before it loses the oldest.
@@ -175,6 +177,7 @@ pub struct Stamped {
 #[derive(Debug, Clone)]
 pub struct EventBus {
     sender: broadcast::Sender<Stamped>,
+    beats: Arc<AtomicU64>,
 }
 
 // === impl Event ===
@@ -212,7 +215,7 @@ impl Event {
 
 impl Default for EventBus {
     fn default() -> EventBus {
-        EventBus { sender: broadcast::Sender::new(LISTENER_BACKLOG) }
+        EventBus { sender: broadcast::Sender::new(LISTENER_BACKLOG), beats: Arc::default() }
     }
 }
 
@@ -226,6 +229,16 @@ impl EventBus {
     pub fn tell(&self, event: Stamped) {
         // The only error is that nobody listens.
         let _ = self.sender.send(event);
+    }
+
+    /// A sign of life: the sequencer has come round once more, also where nothing is told because everything waits.
+    pub fn beat(&self) {
+        self.beats.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// The count of the signs of life, for whoever watches over the sequencer.
+    pub fn beats(&self) -> Arc<AtomicU64> {
+        Arc::clone(&self.beats)
     }
 }
 

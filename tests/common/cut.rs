@@ -2,7 +2,7 @@
 //! leaves what the system was given; a power cut also loses what was not synced, drawn from a seed.
 #![allow(dead_code, clippy::unwrap_used, clippy::expect_used)]
 
-use goniod::archive::disk::{Commit, Disk};
+use goniod::archive::disk::{Commit, Disk, RealDisk};
 use goniod_sim::truth::rng::Key;
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -140,6 +140,19 @@ impl Disk for CutDisk {
         });
         self.point("sync folder", Phase::After);
         Ok(())
+    }
+
+    fn mark(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        self.point("mark", Phase::Before);
+        self.change(|s| {
+            if !path.exists() {
+                s.entries.push(Entry::Made(path.to_owned()));
+            }
+            if !s.unsynced.iter().any(|p| p == path) {
+                s.unsynced.push(path.to_owned());
+            }
+        });
+        RealDisk.mark(path, bytes)
     }
 
     fn commit(&self, journal: &Path, at: Commit) -> io::Result<()> {

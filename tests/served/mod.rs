@@ -144,6 +144,11 @@ impl<'a> Daemon<'a> {
         heard
     }
 
+    /// Asks it to end, as the service manager does.
+    pub fn ask_to_end(&self) {
+        signal(self.child.id(), "TERM");
+    }
+
     /// Asks it to end and gives its exit code.
     pub fn end(mut self) -> Option<i32> {
         signal(self.child.id(), "TERM");

@@ -2,12 +2,21 @@
 
 use super::{Daemon, quick_lab};
 use crate::common::{root, text};
+use goniod::config::instrument::Instrument;
+use goniod::config::load::load;
+use goniod::front::daemon::heart::RHYTHM;
+use goniod::front::daemon::serve::USUAL_SOCKET;
+use goniod::front::daemon::worker::STOP_LIMIT;
 use goniod_drivers::table::Make;
 use std::collections::BTreeSet;
 use std::fs;
 use std::os::unix::net::UnixDatagram;
+use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
+
+/// Longest exposure that the shipped scans ask for, with its read-out.
+const LONGEST_EXPOSURE: Duration = Duration::from_secs(65);
 
 /// Value of a directive of a unit.
 fn directive(unit: &str, name: &str) -> String {
@@ -50,9 +59,54 @@ fn the_units_call_commands_that_there_are_and_wait_long_enough() {
         assert_eq!(lab.goniod(&words).code, 0, "{start}");
     }
     assert_eq!(directive("goniod.service", "OnFailure"), "goniod-safe.service");
-    let stop: u64 = directive("goniod.service", "TimeoutStopSec").parse().unwrap();
-    assert!(stop > 120, "stopping well may take 120 s, then the bench is made safe");
-    assert!(directive("goniod.service", "WatchdogSec").parse::<u64>().unwrap() >= 30);
+}
+
+/// Seconds of a directive.
+fn seconds(unit: &str, name: &str) -> Duration {
+    Duration::from_secs(directive(unit, name).parse().unwrap())
+}
+
+/// The longest that the safe state of a shipped instrument may take: each device twice within its limit, side by side,
+/// each beginning at most a second after the one before it.
+fn longest_safe_state() -> Duration {
+    let read = |name: &str| {
+        let file = root().join("config").join(name);
+        let safe = load::<Instrument>(&file, "instrument").unwrap().value.safe_state;
+        Duration::from_secs_f64(2.0 * safe.limit_s) + Duration::from_secs(8 + safe.order.len() as u64)
+    };
+    ["instrument.example.toml", "instrument.sim.toml"].map(read).into_iter().max().unwrap()
+}
+
+#[test]
+fn the_units_wait_for_what_the_program_may_take_and_begin_it_again() {
+    let (daemon, safe) = ("goniod.service", "goniod-safe.service");
+    let stop = STOP_LIMIT + longest_safe_state();
+    assert!(seconds(daemon, "TimeoutStopSec") >= stop, "stopping well, then the safe state: {stop:?}");
+    assert!(seconds("goniod-run@.service", "TimeoutStopSec") >= longest_safe_state() + LONGEST_EXPOSURE);
+    assert!(seconds(safe, "TimeoutStartSec") >= longest_safe_state());
+    // Three signs of life within the watchdog's time: one that comes late is no death.
+    assert!(seconds(daemon, "WatchdogSec") >= RHYTHM * 3);
+    assert!(seconds(daemon, "TimeoutStartSec") >= Duration::from_secs(30));
+    for (name, value) in [
+        ("Type", "notify"),
+        ("NotifyAccess", "main"),
+        ("Restart", "on-failure"),
+        ("KillSignal", "SIGTERM"),
+        ("RuntimeDirectory", "goniod"),
+        ("StateDirectory", "goniod"),
+        ("ReadWritePaths", "/run/lock"),
+    ] {
+        assert_eq!(directive(daemon, name), value, "{name}");
+    }
+    assert_eq!(
+        Path::new(USUAL_SOCKET),
+        Path::new("/run").join(directive(daemon, "RuntimeDirectory")).join("goniod.sock")
+    );
+    // It must reach the locks and the devices that the daemon reached.
+    for name in ["ReadWritePaths", "User", "Group", "SupplementaryGroups", "StateDirectory"] {
+        assert_eq!(directive(safe, name), directive(daemon, name), "{name}");
+    }
+    assert_eq!(directive(safe, "Type"), "oneshot");
 }
 
 #[test]

@@ -24,6 +24,10 @@ pub mod verbs;
 mod watch;
 
 #[cfg(test)]
+mod disk_tests;
+#[cfg(test)]
+mod edge_tests;
+#[cfg(test)]
 mod fakes;
 #[cfg(test)]
 mod operator_tests;

@@ -52,6 +52,7 @@ pub struct Recorder {
     clock: Clock,
     patient: watch::Sender<bool>,
     untold: AtomicU64,
+    waits: AtomicU64,
 }
 
 /// Room for one frame in the queue.
@@ -92,7 +93,8 @@ impl Recorder {
         let writer = Writer { run, events, standing, patient: patience, clock, steps, seq };
         let task = tokio::spawn(writer.work(entries));
         let frames = Arc::new(Semaphore::new(UNWRITTEN_FRAMES));
-        Recorder { queue, frames, standing: watched, task, clock, patient, untold: AtomicU64::new(0) }
+        let (untold, waits) = (AtomicU64::new(0), AtomicU64::new(0));
+        Recorder { queue, frames, standing: watched, task, clock, patient, untold, waits }
     }
 
     /// Puts an event into the queue. While the disk is full, one that finds no room is dropped and counted: the run
@@ -113,9 +115,17 @@ impl Recorder {
         self.untold.load(Ordering::Relaxed)
     }
 
+    /// Frames that found no room at once: the disk was slower than the cameras.
+    pub fn waits(&self) -> u64 {
+        self.waits.load(Ordering::Relaxed)
+    }
+
     /// Waits for room for a frame; while two are unwritten there is none. Dropping the future loses nothing. `None`
     /// when nothing is recorded any more.
     pub async fn frame_place(&self) -> Option<FramePlace<'_>> {
+        if self.frames.available_permits() == 0 {
+            self.waits.fetch_add(1, Ordering::Relaxed);
+        }
         let unwritten = Arc::clone(&self.frames).acquire_owned().await.ok();
         let queue = self.queue.reserve().await.ok()?;
         Some(FramePlace { queue, unwritten, utc: self.clock.utc() })
@@ -318,4 +328,102 @@ fn row(seq: u64, utc: UtcMicros, event: &Event) -> EventRow {
     // Events are plain data of ours: JSON always holds them.
     let json = serde_json::to_string(event).unwrap_or_default();
     EventRow { seq, utc_us: utc.0, kind: event.kind().to_owned(), json }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+    use crate::archive::disk::{Disk, RealDisk};
+    use crate::archive::{ArrayLayout, NewRun, RunLayout, StepLayout};
+    use goniod_drivers::contract::CameraSettings;
+    use goniod_drivers::frame::{FrameInfo, PixelFormat, Pixels};
+    use goniod_drivers::units::ExposureTime;
+    use std::fs::File;
+    use std::io::{self, Write};
+    use std::path::Path;
+    use std::sync::Mutex;
+
+    /// A disk that writes only while its gate is open.
+    struct Gated(Arc<Mutex<()>>);
+
+    impl Disk for Gated {
+        fn append(&self, file: &mut File, _: &Path, bytes: &[u8]) -> io::Result<()> {
+            drop(self.0.lock().unwrap());
+            file.write_all(bytes)
+        }
+    }
+
+    fn entry(clock: Clock, step: u32) -> FrameEntry {
+        let settings = CameraSettings { exposure: ExposureTime(1000), gain: 0.0 };
+        let info = FrameInfo {
+            camera_serial: "S1".to_owned(),
+            device_frame_id: u64::from(step),
+            exposure_start: clock.now(),
+            received: clock.now(),
+            utc: clock.utc(),
+            settings,
+            width: 4,
+            height: 4,
+            format: PixelFormat::Mono8,
+            damaged: false,
+        };
+        let row = FrameRow {
+            step,
+            digest: String::new(),
+            bytes: 0,
+            utc_us: 0,
+            device_frame_id: u64::from(step),
+            exposure_us: 1000,
+            camera_serial: "S1".to_owned(),
+            attempts: 1,
+            rejected: 0,
+        };
+        let frame = Frame::detached(info, Pixels::U8(vec![step as u8; 16]));
+        FrameEntry { place: ("ccd".to_owned(), 0, step), frame, row }
+    }
+
+    fn layout() -> RunLayout {
+        let (camera, format) = ("ccd".to_owned(), PixelFormat::Mono8);
+        let step = |number| StepLayout {
+            number,
+            view: 0,
+            camera: camera.clone(),
+            array_index: 0,
+            exposure_index: number,
+            exposure_us: 1000,
+        };
+        RunLayout {
+            plan_hash: "h".to_owned(),
+            arrays: vec![ArrayLayout { camera: camera.clone(), views: 1, exposures: 6, rows: 4, columns: 4, format }],
+            steps: (0..6).map(step).collect(),
+        }
+    }
+
+    #[tokio::test]
+    async fn while_two_frames_are_unwritten_the_third_waits_and_is_counted() {
+        let runs = tempfile::tempdir().unwrap();
+        let gate = Arc::new(Mutex::new(()));
+        let new = NewRun { run_id: "night", plan_toml: "", files: &[], layout: &layout() };
+        drop(RunDir::create_on(runs.path(), &new, Arc::new(RealDisk)).unwrap());
+        let path = runs.path().join("night");
+        let run = Arc::new(RunDir::resume_on(&path, Arc::new(Gated(Arc::clone(&gate)))).unwrap());
+        let summary = run.with(|j| j.summary()).unwrap();
+        let clock = Clock::system();
+        let recorder = Recorder::start(Arc::clone(&run), summary, 0, EventBus::default(), clock);
+        let closed = gate.lock().unwrap();
+        for step in 0..2 {
+            recorder.frame_place().await.unwrap().put(entry(clock, step));
+        }
+        assert_eq!(recorder.waits(), 0);
+        let soon = Duration::from_millis(50);
+        assert!(clock.timeout(soon, recorder.frame_place()).await.is_err(), "the scan waits for the disk");
+        assert_eq!(recorder.waits(), 1);
+        drop(closed);
+        for step in 2..6 {
+            recorder.frame_place().await.unwrap().put(entry(clock, step));
+        }
+        let standing = recorder.finish().await;
+        assert_eq!((standing.summary.stored, standing.failure), (6, None), "nothing is dropped");
+    }
 }

@@ -71,6 +71,8 @@ pub struct Outcome {
     pub safe: Vec<SafeReport>,
     /// What the operator must know, where there is something.
     pub message: Option<String>,
+    /// Frames that had to wait until the disk had taken the frames before them.
+    pub disk_waits: u64,
 }
 
 /// Why the run is over, and what the operator must know.
@@ -84,6 +86,7 @@ struct Night<'a> {
     listener: Listener,
     memory: Memory,
     watch: Watch,
+    events: &'a EventBus,
     lost: Option<Lost>,
 }
 
@@ -135,7 +138,7 @@ pub async fn run(
     let watch = Watch::new(job.interlocks.clone(), job.light.clone(), Arc::clone(&archive), clock.now());
     let (urgent, verbs) = past_the_sequencer(verbs);
     let (listener, memory) = (Listener::new(verbs), Memory::default());
-    let mut night = Night { job, bench: &mut *bench, stage: &stage, listener, memory, watch, lost: None };
+    let mut night = Night { job, bench: &mut *bench, stage: &stage, listener, memory, watch, events, lost: None };
     // A panic is an end like any other: the bench becomes safe, and what is on the disk stays good.
     let exposures = AssertUnwindSafe(night.exposures(&to_do)).catch_unwind();
     let ended = tokio::select! {
@@ -273,6 +276,7 @@ impl Night<'_> {
     async fn between(&mut self) -> Option<Ended> {
         let mut suspended: Option<Instant> = None;
         loop {
+            self.events.beat();
             self.listener.catch_up(self.stage).await;
             if let Some(ended) = self.asked_or_failed() {
                 return Some(ended);
@@ -439,6 +443,7 @@ async fn end(
     let Summary { planned, stored, missing, .. } = stage.recorder().standing().summary;
     let last = Event::RunEnded { ending, stored, missing, planned, message: message.clone() };
     stage.recorder().event(last).await;
+    let disk_waits = stage.recorder().waits();
     let standing = stage.into_recorder().finish().await;
     let closed = tokio::task::spawn_blocking(move || archive.close()).await;
     if let Ok(Err(e)) = closed
@@ -447,7 +452,7 @@ async fn end(
         ending = if e.is_full() { Ending::DiskFull } else { Ending::ArchiveFailed };
         message = Some(e.to_string());
     }
-    Ok(Outcome { ending, summary: standing.summary, safe, message })
+    Ok(Outcome { ending, summary: standing.summary, safe, message, disk_waits })
 }
 
 async fn record_safe(stage: &Stage, reports: &[SafeReport]) {

@@ -23,11 +23,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use tokio::sync::mpsc;
 
-const S: Duration = Duration::from_secs(1);
+pub(super) const S: Duration = Duration::from_secs(1);
 const START_US: i64 = 1_700_000_000_000_000;
 
 /// One night: the job changed by `change`, and `script` playing operator and fate beside it.
-async fn trouble<F: Future<Output = ()> + Send + 'static>(
+pub(super) async fn trouble<F: Future<Output = ()> + Send + 'static>(
     change: impl FnOnce(&mut Job<'_>),
     disk: Arc<dyn Disk>,
     script: impl FnOnce(mpsc::Sender<Verb>, Shared) -> F,
@@ -53,24 +53,24 @@ async fn trouble<F: Future<Output = ()> + Send + 'static>(
     Night { outcome, world, path, events, _runs: runs }
 }
 
-fn disk() -> Arc<dyn Disk> {
+pub(super) fn disk() -> Arc<dyn Disk> {
     Arc::new(RealDisk)
 }
 
 /// Seconds after the start of the first event that `wanted` wants.
-fn when(night: &Night, wanted: impl Fn(&Event) -> bool) -> f64 {
+pub(super) fn when(night: &Night, wanted: impl Fn(&Event) -> bool) -> f64 {
     let rows = RunDir::open(&night.path).unwrap().with(|j| j.events()).unwrap();
     let row = rows.iter().find(|row| wanted(&serde_json::from_str(&row.json).unwrap())).expect("it happened");
     (row.utc_us - START_US) as f64 / 1e6
 }
 
-fn was_suspended_for(night: &Night, reason: Reason) -> bool {
+pub(super) fn was_suspended_for(night: &Night, reason: Reason) -> bool {
     let suspended =
         |e: &Event| matches!(e, Event::StateChanged { to: State::Suspended(reasons), .. } if reasons.contains(&reason));
     night.events.iter().any(suspended)
 }
 
-fn all_is_stored(night: &Night) {
+pub(super) fn all_is_stored(night: &Night) {
     assert_eq!(night.outcome.ending, Ending::Completed, "{:?}", night.outcome);
     assert_eq!(counts(&night.outcome), (15, 0, 0), "{:?}", night.events);
     assert_eq!(stored_under_true_labels(&night.path), 15);
@@ -271,7 +271,7 @@ async fn the_safe_state_does_not_wait_for_what_hangs() {
 /// What trips, when, and by when the run must be over, seconds.
 type Alarm = (fn(&mut fakes::World), f64, f64);
 
-fn watched() -> Interlocks {
+pub(super) fn watched() -> Interlocks {
     Interlocks {
         lamp_drift_warning: Some(0.05),
         lamp_drift_alarm: Some(0.5),

@@ -175,4 +175,37 @@ mod tests {
             assert!(parse(wrong).is_err(), "{wrong}");
         }
     }
+
+    fn hub(state: &std::path::Path) -> Shared {
+        let facts = crate::front::daemon::hub::Facts {
+            name: "n".to_owned(),
+            instrument: state.join("instrument.toml"),
+            runs_dir: state.join("runs"),
+            auto_resume: false,
+        };
+        let queue = crate::front::daemon::queue::Queue::open(state).unwrap();
+        std::sync::Arc::new(Hub::new(facts, queue, goniod_drivers::clock::Clock::starting_at(UtcMicros(0))))
+    }
+
+    /// A client that does not read: the oldest are gone, their number is told and counted, and the rest comes in order.
+    #[tokio::test(start_paused = true)]
+    async fn a_client_that_falls_behind_is_told_how_many_events_it_lost() {
+        const TOLD: u64 = 3000;
+        let state = tempfile::tempdir().unwrap();
+        let hub = hub(state.path());
+        let (live, phase) = (hub.listen(), hub.phase());
+        let mut listener = Listener { hub: Shared::clone(&hub), replay: VecDeque::new(), replayed: None, live, phase };
+        for seq in 0..TOLD {
+            let event = RunEvent::FrameStored { step: seq as u32, bytes: 1, attempts: 1, rejected: 0 };
+            hub.tell_run("r", &crate::control::events::Stamped { seq, utc: UtcMicros(0), event });
+        }
+        let first = listener.next().await.unwrap();
+        let What::Daemon(DaemonEvent::Lagged { lost }) = first.event else { panic!("{first:?}") };
+        assert!(lost > 0 && hub.lost.load(std::sync::atomic::Ordering::Relaxed) == lost);
+        for seq in lost..TOLD {
+            assert_eq!(listener.next().await.unwrap().seq, Some(seq), "in order, none twice");
+        }
+        hub.go(Phase::Closing);
+        assert_eq!(listener.next().await, None);
+    }
 }

@@ -28,3 +28,25 @@ fn the_page_tells_every_verb() {
         assert!(row.contains(&format!("`{name}`")), "{name}");
     }
 }
+
+/// Kinds of events that a source file names in its `kind` function.
+fn kinds(source: &str) -> BTreeSet<String> {
+    let body = source.split("pub fn kind(&self)").nth(1).unwrap();
+    let body = body.split("\n    }\n").next().unwrap();
+    let kinds: BTreeSet<String> =
+        body.split("=> \"").skip(1).filter_map(|s| s.split('"').next().map(str::to_owned)).collect();
+    assert!(kinds.len() >= 6, "{kinds:?}");
+    kinds
+}
+
+/// The live page listens to every kind of event but those that tell progress, which it asks for.
+#[test]
+fn the_live_page_listens_to_every_kind_of_event() {
+    let page = include_str!("page.html");
+    let list = page.split("const kinds = [").nth(1).unwrap().split("];").next().unwrap();
+    let asked = ["step-started", "progress", "frame-stored"];
+    let sources = [include_str!("../../control/events.rs"), include_str!("../daemon/hub.rs")];
+    for kind in sources.iter().flat_map(|source| kinds(source)).filter(|kind| !asked.contains(&kind.as_str())) {
+        assert!(list.contains(&format!("\"{kind}\"")), "{kind} is not shown");
+    }
+}

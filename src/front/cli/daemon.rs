@@ -8,11 +8,9 @@ use crate::config::instrument::Instrument;
 use crate::config::load::load;
 use crate::front::api::answers::Status;
 use crate::front::api::client::{Client, ClientError};
+use crate::front::daemon::serve::USUAL_SOCKET;
 use hyper::Method;
 use std::path::{Path, PathBuf};
-
-/// The socket where nothing else is said.
-const USUAL: &str = "/run/goniod/goniod.sock";
 
 /// Where the daemon is.
 #[derive(Debug, Clone, clap::Args)]
@@ -44,7 +42,7 @@ pub fn socket_path(given: Option<&Path>, daemon: impl FnOnce() -> Daemon) -> Pat
     let given = given.map(Path::to_owned).or_else(|| std::env::var_os("GONIOD_SOCKET").map(PathBuf::from));
     given.or_else(|| daemon().socket).unwrap_or_else(|| match std::env::var_os("RUNTIME_DIRECTORY") {
         Some(folder) => PathBuf::from(folder).join("goniod.sock"),
-        None => USUAL.into(),
+        None => USUAL_SOCKET.into(),
     })
 }
 

@@ -47,6 +47,9 @@ pub struct Ran {
     safe: bool,
     #[serde(skip_serializing_if = "Option::is_none")]
     message: Option<String>,
+    /// Frames that waited for a slow disk.
+    #[serde(skip_serializing_if = "is_zero")]
+    disk_waits: u64,
     forecast_s: f64,
     took_s: f64,
     products: Vec<PathBuf>,
@@ -143,6 +146,7 @@ pub async fn carry_out(
         rejected: outcome.summary.rejected,
         safe: outcome.is_safe(),
         message: outcome.message.clone(),
+        disk_waits: outcome.disk_waits,
         forecast_s: night.plan.forecast.total_s(),
         took_s: clock.elapsed().as_secs_f64(),
         products: Vec::new(),
@@ -179,6 +183,10 @@ fn judged(_: &mut Ran, exit: Exit) -> Result<Exit, Failure> {
     Ok(exit)
 }
 
+fn is_zero(n: &u64) -> bool {
+    *n == 0
+}
+
 fn text(ran: &Ran, made: Option<&Made>) -> String {
     let mut lines = vec![format!(
         "{}: {} stored, {} missing, {} not done, {} rejected and retaken; bench {}",
@@ -190,6 +198,9 @@ fn text(ran: &Ran, made: Option<&Made>) -> String {
         if ran.safe { "safe" } else { "NOT PROVEN SAFE, look at it" }
     )];
     lines.push(format!("took {}, forecast {}", duration(ran.took_s), duration(ran.forecast_s)));
+    if ran.disk_waits > 0 {
+        lines.push(format!("{} frames waited for the disk: it is slower than the cameras", ran.disk_waits));
+    }
     lines.extend(ran.message.clone());
     if !ran.faults.is_empty() {
         let kinds: Vec<String> = ran.faults.iter().map(|(kind, n)| format!("{kind} {n}")).collect();

@@ -10,13 +10,16 @@ use crate::config::instrument::Instrument;
 use crate::config::load::load;
 use crate::control::devices::safe::{SafeReport, SafeResult};
 use crate::front::bench::open_direct;
+use crate::front::daemon::error::DaemonError;
+use crate::front::daemon::lock::Locks;
 use goniod_drivers::clock::Clock;
 use serde::Serialize;
+use std::path::Path;
 
 /// Arguments.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Open the devices here and now; a run that holds them should be told with SIGTERM first.
+    /// Open the devices here and now; refused while a daemon or a run holds the instrument.
     #[arg(long)]
     direct: bool,
     #[command(flatten)]
@@ -42,6 +45,7 @@ pub fn run(args: Args, output: &Output) -> Outcome {
     let file = instrument_path(args.daemon.instrument.as_deref())?;
     let loaded = load::<Instrument>(&file, "instrument").map_err(|e| Failure::new(Exit::BadInput, e.to_string()))?;
     let instrument = loaded.value;
+    let _locks = take(&file, &instrument)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(no_runtime)?;
     let devices = runtime.block_on(async {
         let clock = Clock::system();
@@ -52,6 +56,22 @@ pub fn run(args: Args, output: &Output) -> Outcome {
     let exit = if safe { Exit::Done } else { Exit::Device };
     let result = Safe { safe, devices };
     output.result(exit, &result, || text(&result.devices))
+}
+
+/// Takes the instrument, so that nobody else commands it meanwhile. A lock that cannot be had for another reason than a
+/// holder keeps nobody from making the bench safe.
+fn take(file: &Path, instrument: &Instrument) -> Result<Option<Locks>, Failure> {
+    match Locks::of_instrument(file, instrument, "goniod safe --direct") {
+        Ok(locks) => Ok(Some(locks)),
+        Err(DaemonError::InUse { what, holder, .. }) => {
+            let message = format!(
+                "{what} is in use by {holder}; `goniod safe` asks the daemon to make the bench safe, a run in the \
+                 foreground does it when it gets SIGTERM; where neither answers, kill that process and try again"
+            );
+            Err(Failure::new(Exit::Refused, message))
+        }
+        Err(_) => Ok(None),
+    }
 }
 
 fn text(devices: &[SafeReport]) -> String {

@@ -6,6 +6,8 @@ use super::output::{Outcome, Output};
 use super::run::no_runtime;
 use super::status::now_line;
 use crate::control::events::Event;
+use crate::control::sequencer::interlocks::{Gauge, Trip};
+use crate::control::sequencer::state::State;
 use crate::front::api::answers::Status;
 use crate::front::api::client::{Client, ClientError};
 use crate::front::daemon::hub::{DaemonEvent, Told, What};
@@ -61,6 +63,14 @@ fn run_words(event: &Event) -> String {
         Event::Progress { stored, missing, steps } => format!("{stored} of {steps} stored, {missing} missing"),
         Event::StepMissing { step, reason, .. } => format!("step {step} missing: {reason}"),
         Event::DeviceError { device, message, decision, .. } => format!("{device}: {message}; {decision}"),
+        Event::StateChanged { to, .. } => format!("now {}", state_words(to)),
+        Event::Asked { verb, refused: None } => format!("{} was asked", verb.name()),
+        Event::Asked { verb, refused: Some(why) } => format!("{} was asked and refused: {why}", verb.name()),
+        Event::Interlocks { warnings, alarms } => interlock_words(warnings, alarms),
+        Event::LightRead { power_w, u_w, .. } => format!("lamp {power_w:.4e} W, standard uncertainty {u_w:.1e} W"),
+        Event::ViewRetaken { view, change } => {
+            format!("view {view} is taken again: the lamp changed by {:.2} %", change * 100.0)
+        }
         Event::RunEnded { stored, missing, planned, message, .. } => {
             let message = message.as_ref().map_or_else(String::new, |m| format!("; {m}"));
             format!("run ended: {stored} stored, {missing} missing, {planned} not done{message}")
@@ -71,6 +81,33 @@ fn run_words(event: &Event) -> String {
             json.as_object_mut().map(|o| o.remove("kind"));
             format!("{} {json}", event.kind())
         }
+    }
+}
+
+/// `suspended (disk, temperature)`.
+fn state_words(state: &State) -> String {
+    match state {
+        State::Suspended(reasons) => {
+            let names: Vec<&str> = reasons.iter().map(|r| r.name()).collect();
+            format!("{} ({})", state.name(), names.join(", "))
+        }
+        state => state.name().to_owned(),
+    }
+}
+
+fn interlock_words(warnings: &[Trip], alarms: &[Trip]) -> String {
+    let names = |trips: &[Trip]| trips.iter().map(trip_words).collect::<Vec<_>>().join(", ");
+    match (warnings, alarms) {
+        ([], []) => "interlocks: nothing holds the run".to_owned(),
+        (warnings, []) => format!("interlocks: waits for {}", names(warnings)),
+        (_, alarms) => format!("interlocks: ALARM, {}", names(alarms)),
+    }
+}
+
+fn trip_words(trip: &Trip) -> String {
+    match &trip.gauge {
+        Gauge::Temperature(device) => format!("{} of {device}", trip.reason.name()),
+        _ => trip.reason.name().to_owned(),
     }
 }
 
@@ -87,5 +124,34 @@ fn daemon_words(event: &DaemonEvent, run: Option<&str>) -> String {
         DaemonEvent::ProductsFailed { reason } => format!("{run}: products could not be made: {reason}"),
         DaemonEvent::Lagged { lost } => format!("{lost} events were lost here; the journal has those of the run"),
         DaemonEvent::Stopping => "the daemon ends".to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::control::sequencer::interlocks::Reason;
+    use crate::control::sequencer::verbs::Verb;
+
+    #[test]
+    fn what_was_asked_and_what_the_interlocks_say_is_told_in_words() {
+        let trip = |gauge| Trip { reason: Reason::Temperature, gauge };
+        let (warm, lost) = (trip(Gauge::Temperature("ccd".to_owned())), State::Suspended([Reason::DeviceLost].into()));
+        for (event, words) in [
+            (Event::Asked { verb: Verb::PauseNow, refused: None }, "pause now was asked"),
+            (
+                Event::Asked { verb: Verb::Resume, refused: Some("the run is under way".to_owned()) },
+                "resume was asked and refused: the run is under way",
+            ),
+            (
+                Event::Interlocks { warnings: vec![warm.clone()], alarms: vec![] },
+                "interlocks: waits for temperature of ccd",
+            ),
+            (Event::Interlocks { warnings: vec![], alarms: vec![warm] }, "interlocks: ALARM, temperature of ccd"),
+            (Event::Interlocks { warnings: vec![], alarms: vec![] }, "interlocks: nothing holds the run"),
+            (Event::StateChanged { from: State::Running, to: lost }, "now suspended (device-lost)"),
+        ] {
+            assert_eq!(run_words(&event), words);
+        }
     }
 }

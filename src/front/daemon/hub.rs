@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::{Notify, broadcast, mpsc, watch};
 
 /// Events a slow client may fall behind before it loses the oldest.
@@ -93,6 +93,8 @@ pub struct Current {
     pub silence_s: f64,
     /// When the last event came, seconds of the daemon's clock.
     pub heard_s: f64,
+    /// The sequencer's signs of life.
+    pub beats: Arc<AtomicU64>,
     /// An operator asked for its end.
     pub end_asked: bool,
     /// Where requests go.

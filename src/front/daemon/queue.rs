@@ -87,7 +87,7 @@ impl Queue {
             folder: folder.clone(),
             entries: BTreeMap::new(),
             bad: Vec::new(),
-            held: fs::read_to_string(state.join(HELD)).ok().map(|text| text.trim().to_owned()),
+            held: read_hold(&state.join(HELD)),
             highest: 0,
         };
         let listed = fs::read_dir(&folder).map_err(|source| DaemonError::Io { path: folder, source })?;
@@ -246,6 +246,17 @@ impl Queue {
     }
 }
 
+/// Why the queue is held. A note that cannot be read holds it all the same: somebody wanted it held.
+fn read_hold(path: &Path) -> Option<String> {
+    match fs::read(path) {
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => None,
+        Ok(bytes) if !bytes.trim_ascii().is_empty() && bytes.iter().all(|b| *b != 0) => {
+            Some(String::from_utf8_lossy(bytes.trim_ascii()).into_owned())
+        }
+        _ => Some(format!("why cannot be read from {}", path.display())),
+    }
+}
+
 fn save(folder: &Path, entry: &Entry) -> Result<(), DaemonError> {
     let path = folder.join(ENTRY);
     let text = serde_json::to_vec_pretty(entry)
@@ -319,6 +330,32 @@ mod tests {
         assert!(!folder.join(".tmp-000009").exists());
         let staged = queue.stage().unwrap();
         assert_eq!(queue.add(staged, work("x"), String::new()).unwrap().id, 9, "not the number of a damaged one");
+    }
+
+    #[test]
+    fn whatever_a_cut_leaves_of_the_queue_is_read_or_named_and_a_torn_hold_holds() {
+        let state = tempfile::tempdir().unwrap();
+        let mut queue = filled(state.path(), 2);
+        queue.hold(Some("an interlock gave the alarm".to_owned())).unwrap();
+        let (entry, held) = (state.path().join("queue/000001/entry.json"), state.path().join("held"));
+        let good = fs::read(&entry).unwrap();
+        for kept in 0..good.len() {
+            let mut zeroed = good.clone();
+            zeroed[kept..].fill(0);
+            for bad in [good[..kept].to_vec(), zeroed] {
+                fs::write(&entry, bad).unwrap();
+                let queue = Queue::open(state.path()).unwrap();
+                assert_eq!((ids(&queue), queue.bad().len()), (vec![(2, "waiting")], 1), "cut after {kept}");
+                assert_eq!(queue.next().unwrap().id, 2, "the others are carried out");
+            }
+        }
+        fs::write(&entry, good).unwrap();
+        for torn in [&b""[..], b"\0\0\0\0", b"an interlock\0\0", b"\xff\xfe"] {
+            fs::write(&held, torn).unwrap();
+            assert!(Queue::open(state.path()).unwrap().held().is_some_and(|why| !why.is_empty()), "{torn:?}");
+        }
+        Queue::open(state.path()).unwrap().hold(None).unwrap();
+        assert_eq!(Queue::open(state.path()).unwrap().held(), None);
     }
 
     #[test]

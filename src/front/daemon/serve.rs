@@ -13,6 +13,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
+/// The socket where nothing else is said.
+pub const USUAL_SOCKET: &str = "/run/goniod/goniod.sock";
+
 /// Where the daemon lives.
 #[derive(Debug, Clone)]
 pub struct Place {

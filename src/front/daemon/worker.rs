@@ -14,13 +14,14 @@ use crate::front::night;
 use crate::front::runs::{OPEN, status_of};
 use goniod_drivers::clock::Clock;
 use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
 use std::time::Duration;
 use tokio::sync::{broadcast, mpsc};
 
 /// Requests that may wait for the sequencer.
 const VERBS: usize = 8;
 /// How long a run may take to stop well when the daemon is to end; the unit's TimeoutStopSec is longer.
-const STOP_LIMIT: Duration = Duration::from_secs(120);
+pub const STOP_LIMIT: Duration = Duration::from_secs(120);
 /// Longest silence of a sound sequencer besides its exposures, seconds: homing and the slowest moves.
 const SILENCE_S: f64 = 600.0;
 /// Exposures that may pass without an event.
@@ -75,8 +76,8 @@ async fn carry_out(hub: &Arc<Hub>, locks: &Locks, entry: &Entry) {
 /// Takes the exposures; gives the outcome and whether the daemon's own end cut the run short.
 async fn measure(hub: &Arc<Hub>, entry: &Entry, begun: &mut Begun) -> Result<(Outcome, bool), String> {
     let (sender, verbs) = mpsc::channel(VERBS);
-    hub.set_current(Some(current(hub, entry, begun, sender)));
     let events = EventBus::default();
+    hub.set_current(Some(current(hub, entry, begun, (sender, events.beats()))));
     let follower = tokio::spawn(follow(Arc::clone(hub), begun.run.clone(), events.subscribe()));
     let clock = begun.clock;
     let by_us;
@@ -123,7 +124,7 @@ async fn ask(verbs: &mpsc::Sender<Verb>, verb: Verb) {
     let _ = verbs.send(verb).await;
 }
 
-fn current(hub: &Hub, entry: &Entry, begun: &Begun, verbs: mpsc::Sender<Verb>) -> Current {
+fn current(hub: &Hub, entry: &Entry, begun: &Begun, (verbs, beats): (mpsc::Sender<Verb>, Arc<AtomicU64>)) -> Current {
     let plan = &begun.night.plan;
     let longest_s = plan.steps.iter().map(|s| s.exposure.0).max().unwrap_or(0) as f64 / 1e6;
     Current {
@@ -139,6 +140,7 @@ fn current(hub: &Hub, entry: &Entry, begun: &Begun, verbs: mpsc::Sender<Verb>) -
         forecast_s: plan.forecast.total_s(),
         silence_s: SILENCE_S + SILENT_EXPOSURES * longest_s + longest_outage_s(&begun.checked.instrument.recovery),
         heard_s: hub.clock.elapsed().as_secs_f64(),
+        beats,
         end_asked: false,
         verbs,
     }
@@ -276,4 +278,39 @@ fn settle(hub: &Hub) -> bool {
         }
     }
     left
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+    use crate::control::events::Event;
+    use crate::front::daemon::hub::{DaemonEvent, Facts, What};
+    use crate::front::daemon::queue::Queue;
+    use goniod_drivers::clock::UtcMicros;
+
+    /// The way from a run to the clients may fall behind too: what was lost on it is told, and the rest follows.
+    #[tokio::test(start_paused = true)]
+    async fn events_that_the_daemon_itself_was_too_slow_for_are_told_as_lost() {
+        const TOLD: u64 = 3000;
+        let state = tempfile::tempdir().unwrap();
+        let (instrument, runs_dir) = (state.path().join("instrument.toml"), state.path().join("runs"));
+        let facts = Facts { name: "n".to_owned(), instrument, runs_dir, auto_resume: false };
+        let clock = Clock::starting_at(UtcMicros(0));
+        let hub = Arc::new(Hub::new(facts, Queue::open(state.path()).unwrap(), clock));
+        let events = EventBus::default();
+        let receiver = events.subscribe();
+        for seq in 0..TOLD {
+            let event = Event::FrameStored { step: 0, bytes: 1, attempts: 1, rejected: 0 };
+            events.tell(Stamped { seq, utc: UtcMicros(0), event });
+        }
+        drop(events);
+        follow(Arc::clone(&hub), "r".to_owned(), receiver).await;
+        let told = hub.last();
+        let lost = told.iter().find_map(|t| match t.event {
+            What::Daemon(DaemonEvent::Lagged { lost }) => Some(lost),
+            _ => None,
+        });
+        assert!(lost.is_some_and(|lost| (1..TOLD).contains(&lost)), "{told:?}");
+    }
 }

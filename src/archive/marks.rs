@@ -1,0 +1,245 @@
+//! Marks beside an open journal, by which any changed bit of a run under way or cut short is found.
+//!
+//! `journal.base` has the digest of `journal.sqlite`. That file stays as it is while commits go to SQLite's log; the base is
+//! lifted before the log is folded into the file, and set anew after. `journal.head` tells after each commit how far the log
+//! is committed. It is not synced: after a power cut it may be older than the log, never newer. Both are gone once the
+//! journal is closed; the seal covers it then. `journal.sqlite-shm` is memory that processes share, no record: whoever
+//! opens the journal after the last process has gone builds it anew.
+
+use super::disk::{Disk, write_on};
+use super::error::{ArchiveError, Result};
+use super::wal::{HEADER, Walk};
+use crate::digest::sha256_hex;
+use std::fs::{self, File};
+use std::io::{ErrorKind, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Digest of the journal's file.
+const BASE: &str = "journal.base";
+/// How far the journal's log is committed.
+const HEAD: &str = "journal.head";
+/// Length of a head.
+const HEAD_BYTES: usize = 68;
+/// Looks that a check takes beside a writer that folds its log.
+const LOOKS: usize = 5;
+
+/// The marks of one journal.
+pub(super) struct Marks {
+    journal: PathBuf,
+    disk: Arc<dyn Disk>,
+    generation: Option<u64>,
+    walk: Option<Walk>,
+}
+
+/// Where a run's files were when they were read.
+struct Seen {
+    base: Option<Vec<u8>>,
+    head: Vec<u8>,
+    journal: Vec<u8>,
+    log: Vec<u8>,
+}
+
+// === impl Marks ===
+
+impl Marks {
+    /// The marks beside `journal`; nothing is set yet.
+    pub(super) fn of(journal: &Path, disk: Arc<dyn Disk>) -> Marks {
+        Marks { journal: journal.to_path_buf(), disk, generation: None, walk: None }
+    }
+
+    /// Takes the base away, durably, before the journal's file changes.
+    ///
+    /// # Errors
+    /// The disk's kinds; the file must then stay as it is.
+    pub(super) fn lift(&mut self) -> Result<()> {
+        let (base, folder) = (self.path(BASE), self.folder());
+        let lift = || {
+            let there = base.exists();
+            self.disk.discard(&base)?;
+            if there { self.disk.sync_folder(&folder) } else { Ok(()) }
+        };
+        let before = generation_of(&fs::read(&base).unwrap_or_default());
+        let head = generation_of(&fs::read(self.path(HEAD)).unwrap_or_default());
+        lift().map_err(|e| ArchiveError::io("remove", &base, &e))?;
+        self.generation = Some(self.generation.or(before).max(head).unwrap_or(0).wrapping_add(1));
+        self.walk = None;
+        Ok(())
+    }
+
+    /// Sets the base for the file as it is now. Without one, less can be judged; nothing else suffers.
+    pub(super) fn set(&mut self) {
+        let set = |generation| {
+            let bytes = fs::read(&self.journal).map_err(|e| ArchiveError::io("read", &self.journal, &e))?;
+            write_on(&*self.disk, &self.path(BASE), base_text(generation, &sha256_hex(&bytes)).as_bytes())
+        };
+        if self.generation.is_some_and(|generation| set(generation).is_err()) {
+            let _ = self.disk.discard(&self.path(BASE));
+        }
+    }
+
+    /// Tells how far the log is committed; gives the bytes it has, where that could be read. A mark that cannot be
+    /// written only lets less be judged.
+    pub(super) fn committed(&mut self) -> Option<u64> {
+        let mut log = File::open(log_of(&self.journal)).ok()?;
+        let mut header = [0; HEADER];
+        log.read_exact(&mut header).ok()?;
+        let mut walk = match self.walk.take().filter(|walk| walk.goes_on(&header)) {
+            Some(walk) => walk,
+            None => Walk::begin(&header)?,
+        };
+        let mut rest = Vec::new();
+        log.seek(SeekFrom::Start(walk.end())).and_then(|_| log.read_to_end(&mut rest)).ok()?;
+        walk.over(&rest);
+        let end = walk.end();
+        if let Some(generation) = self.generation {
+            let _ = self.disk.mark(&self.path(HEAD), head_text(generation, walk.salts(), end).as_bytes());
+        }
+        self.walk = Some(walk);
+        Some(end)
+    }
+
+    /// Takes all marks away: the journal is closed.
+    pub(super) fn remove(&mut self) -> Result<()> {
+        self.lift()?;
+        let head = self.path(HEAD);
+        self.disk.discard(&head).map_err(|e| ArchiveError::io("remove", &head, &e))
+    }
+
+    fn folder(&self) -> PathBuf {
+        self.journal.parent().unwrap_or(Path::new("")).to_path_buf()
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.journal.with_file_name(name)
+    }
+}
+
+/// What is changed in `journal` and its log since they were written, as sentences; it is not closed, and may be in use.
+///
+/// # Errors
+/// [`ArchiveError::Io`] and the disk's kinds for a file that cannot be read.
+pub(super) fn check(journal: &Path) -> Result<Vec<String>> {
+    let read = |path: PathBuf| match fs::read(&path) {
+        Err(e) if e.kind() == ErrorKind::NotFound => Ok(None),
+        read => read.map(Some).map_err(|e| ArchiveError::io("read", &path, &e)),
+    };
+    for _ in 0..LOOKS {
+        // The head before the log: what it tells is in the log by then.
+        let base = read(journal.with_file_name(BASE))?;
+        let head = read(journal.with_file_name(HEAD))?.unwrap_or_default();
+        let (file, log) = (read(journal.to_path_buf())?, read(log_of(journal))?);
+        // A writer that folded its log meanwhile has set another base.
+        if read(journal.with_file_name(BASE))? == base {
+            let seen = Seen { base, head, journal: file.unwrap_or_default(), log: log.unwrap_or_default() };
+            return Ok(judge(&seen));
+        }
+    }
+    Ok(Vec::new())
+}
+
+fn judge(seen: &Seen) -> Vec<String> {
+    let Some(base) = &seen.base else { return Vec::new() };
+    let mut found = Vec::new();
+    let generation = generation_of(base);
+    let expected = generation.map(|g| base_text(g, &sha256_hex(&seen.journal)));
+    if !is_own(base) {
+        found.push(format!("{BASE} was changed"));
+    } else if expected.as_deref().map(str::as_bytes) != Some(base) {
+        found.push("the file was changed since its log was last folded into it".to_owned());
+    }
+    // What a power cut has left of a head has no end.
+    let cut = seen.head.len() != HEAD_BYTES || seen.head.last() == Some(&0);
+    if cut {
+        return found;
+    }
+    if !is_own(&seen.head) {
+        found.push(format!("{HEAD} was changed"));
+    } else if generation_of(&seen.head) == generation
+        && let Some((salts, end)) = claim(&seen.head)
+    {
+        let whole = Walk::through(&seen.log).filter(|walk| walk.salts() == salts).map_or(0, |walk| walk.end());
+        if whole < end {
+            found.push(format!("its log was changed: {end} bytes were committed, the first {whole} are whole"));
+        }
+    }
+    found
+}
+
+/// Text, then its own digest as the last word.
+fn owned(text: &str) -> String {
+    format!("{text} {}\n", sha256_hex(text.as_bytes()).get(..16).unwrap_or_default())
+}
+
+fn is_own(bytes: &[u8]) -> bool {
+    let text = std::str::from_utf8(bytes).ok().and_then(|text| text.strip_suffix('\n'));
+    let parts = text.and_then(|text| text.rsplit_once(' '));
+    parts.is_some_and(|(text, _)| owned(text).as_bytes() == bytes)
+}
+
+fn base_text(generation: u64, digest: &str) -> String {
+    owned(&format!("{generation:016x} journal.sqlite sha256 {digest}"))
+}
+
+fn head_text(generation: u64, salts: [u8; 8], end: u64) -> String {
+    owned(&format!("{generation:016x} {:016x} {end:016x}", u64::from_be_bytes(salts)))
+}
+
+fn generation_of(bytes: &[u8]) -> Option<u64> {
+    number(std::str::from_utf8(bytes).ok()?, 0)
+}
+
+/// Salts and end that a head tells.
+fn claim(head: &[u8]) -> Option<([u8; 8], u64)> {
+    let text = std::str::from_utf8(head).ok()?;
+    Some((number(text, 1)?.to_be_bytes(), number(text, 2)?))
+}
+
+fn number(text: &str, word: usize) -> Option<u64> {
+    u64::from_str_radix(text.split(' ').nth(word)?, 16).ok()
+}
+
+fn log_of(journal: &Path) -> PathBuf {
+    journal.with_extension("sqlite-wal")
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+
+    #[test]
+    fn marks_have_their_length_and_every_bit_of_them_counts() {
+        let head = head_text(3, [9; 8], 1 << 40);
+        assert_eq!(head.len(), HEAD_BYTES);
+        assert_eq!(claim(head.as_bytes()), Some(([9; 8], 1 << 40)));
+        for text in [head, base_text(u64::MAX, &sha256_hex(b"x"))] {
+            assert!(is_own(text.as_bytes()));
+            for bit in 0..text.len() * 8 {
+                let mut bad = text.clone().into_bytes();
+                bad[bit / 8] ^= 1 << (bit % 8);
+                assert!(!is_own(&bad) && bad.last() != Some(&0), "bit {bit}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_a_power_cut_leaves_of_a_head_is_no_damage() {
+        let base = base_text(1, &sha256_hex(b"journal"));
+        let head = head_text(1, [1; 8], 4152);
+        let seen = |head: &[u8], log: &[u8]| Seen {
+            base: Some(base.clone().into_bytes()),
+            head: head.to_vec(),
+            journal: b"journal".to_vec(),
+            log: log.to_vec(),
+        };
+        for kept in 0..head.len() {
+            let mut zeroed = head.clone().into_bytes();
+            zeroed[kept..].fill(0);
+            assert!(judge(&seen(&head.as_bytes()[..kept], b"")).is_empty(), "cut after {kept}");
+            assert!(judge(&seen(&zeroed, b"")).is_empty(), "zeroes from {kept}");
+        }
+        assert!(judge(&seen(head_text(2, [1; 8], 4152).as_bytes(), b"")).is_empty(), "of another base");
+        assert_eq!(judge(&seen(head.as_bytes(), b"")).len(), 1, "a log that is gone");
+    }
+}
