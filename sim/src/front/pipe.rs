@@ -40,6 +40,8 @@ pub(super) struct State {
     connection: u64,
     /// Counts touches from outside, after which the twin may have something to say.
     touches: u64,
+    /// Nothing passes, and whoever opens the port waits until then.
+    stuck_until: Option<Instant>,
 }
 
 /// Opens a [`PipePort`].
@@ -59,7 +61,7 @@ impl<T> Clone for PipePort<T> {
 impl<T: Firmware> PipePort<T> {
     /// A port called `name` (`sim:holder`).
     pub fn new(name: impl Into<String>, twin: T) -> PipePort<T> {
-        let state = watch::Sender::new(State { plugged: true, connection: 0, touches: 0 });
+        let state = watch::Sender::new(State { plugged: true, connection: 0, touches: 0, stuck_until: None });
         PipePort { inner: Arc::new(Inner { name: name.into(), twin: Mutex::new(twin), state }) }
     }
 
@@ -112,6 +114,14 @@ impl<T: Firmware> PipePort<T> {
             port.plug();
         });
     }
+
+    /// The port hangs for `time`, as a driver of the operating system may: nothing passes, opening it takes that long.
+    pub fn stick_for(&self, time: Duration) {
+        self.inner.state.send_modify(|s| {
+            s.stuck_until = Some(Instant::now() + time);
+            s.connection += 1;
+        });
+    }
 }
 
 // === impl Inner ===
@@ -131,6 +141,10 @@ impl<T: Firmware> Connector for PipeConnector<T> {
     }
 
     async fn connect(&mut self) -> Result<Link> {
+        let stuck_until = self.inner.state.borrow().stuck_until;
+        if let Some(until) = stuck_until {
+            self.clock.sleep_until(until).await;
+        }
         if !self.inner.state.borrow().plugged {
             let what = format!("port {} is not there; plug the adapter in", self.inner.name);
             return Err(DeviceError::new(ErrorKind::Lost, &self.inner.name, what));
@@ -173,6 +187,10 @@ async fn serve<T: Firmware>(
             () = clock.sleep_until(due) => {}
             changed = state.changed() => {
                 let s = *state.borrow_and_update();
+                if let Some(until) = s.stuck_until.filter(|_| s.connection == connection + 1) {
+                    // The host's end stays open and silent.
+                    clock.sleep_until(until).await;
+                }
                 if changed.is_err() || !s.plugged || s.connection != connection {
                     return;
                 }
