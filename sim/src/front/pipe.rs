@@ -198,3 +198,46 @@ async fn serve<T: Firmware>(
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+    use goniod_drivers::clock::UtcMicros;
+
+    /// Says back what it hears.
+    struct Echo(Vec<u8>);
+
+    impl Firmware for Echo {
+        fn receive(&mut self, bytes: &[u8], _: Instant) {
+            self.0.extend_from_slice(bytes);
+        }
+        fn due(&self) -> Option<Instant> {
+            None
+        }
+        fn take(&mut self, _: Instant) -> Vec<u8> {
+            std::mem::take(&mut self.0)
+        }
+        fn connected(&mut self, _: Instant) {}
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_port_that_hangs_passes_nothing_and_opens_only_afterwards() {
+        let clock = Clock::starting_at(UtcMicros(0));
+        let port = PipePort::new("sim:echo", Echo(Vec::new()));
+        let mut connector = port.connector(clock);
+        let second = Duration::from_secs(1);
+        let mut link = connector.connect().await.unwrap();
+        link.send(b"one\n").await.unwrap();
+        assert!(link.line(clock.now() + second).await.unwrap().is_some());
+        let stuck = clock.now();
+        port.stick_for(10 * second);
+        tokio::task::yield_now().await;
+        link.send(b"two\n").await.unwrap();
+        assert_eq!(link.line(clock.now() + second).await.unwrap(), None);
+        let mut link = connector.connect().await.unwrap();
+        assert!(clock.now() >= stuck + 10 * second);
+        link.send(b"three\n").await.unwrap();
+        assert!(link.line(clock.now() + second).await.unwrap().is_some());
+    }
+}
