@@ -190,7 +190,7 @@ impl Targets {
             Kind::Disk(kind) => {
                 let around = Arc::clone(&self.around);
                 let time = seconds(5.0, 300.0, draw);
-                later(clock, time, move || drop(around(Around::Disk(kind, false))));
+                later(clock, time, move || around(Around::Disk(kind, false)));
                 return (self.around)(Around::Disk(kind, true));
             }
             Kind::Process(ProcessKind::Panics) => {
@@ -221,7 +221,7 @@ impl Targets {
         let ask = |wish| (self.around)(Around::Ask(wish));
         let resume_later = || {
             let around = Arc::clone(&self.around);
-            later(clock, seconds(30.0, 600.0, draw), move || drop(around(Around::Ask(Wish::Resume))));
+            later(clock, seconds(30.0, 600.0, draw), move || around(Around::Ask(Wish::Resume)));
         };
         match kind {
             OperatorKind::Pause => {
@@ -368,11 +368,11 @@ fn name(port: Port) -> &'static str {
     }
 }
 
-/// Does something after `time`.
-fn later(clock: Clock, time: Duration, act: impl FnOnce() + Send + 'static) {
+/// Does something after `time`; whether it could be done then matters to nobody.
+fn later<T>(clock: Clock, time: Duration, act: impl FnOnce() -> T + Send + 'static) {
     tokio::spawn(async move {
         clock.sleep(time).await;
-        act();
+        let _ = act();
     });
 }
 
