@@ -81,7 +81,7 @@ pub fn go_on(unfinished: Unfinished, missing: bool, products: bool, to: (&Locks,
     let checked = unfinished.checked();
     let rehearsed = unfinished.document.virtual_time;
     let start = unfinished.last_told()?;
-    let rehearsal = Rehearsal { seed: unfinished.document.simulated_seed, ..Rehearsal::default() };
+    let rehearsal = Rehearsal { seed: unfinished.document.simulated_seed, sample: None, ..Rehearsal::default() };
     let runtime = if rehearsed {
         tokio::runtime::Builder::new_current_thread().enable_all().start_paused(true).build()
     } else {
