@@ -64,6 +64,8 @@ const DRIFT: f64 = 0.03;
 
 /// A night that is over.
 struct Over {
+    /// The folder of the run lives as long as this.
+    _lab: Lab,
     path: PathBuf,
     outcome: Outcome,
     events: Vec<Event>,
@@ -79,7 +81,7 @@ fn lab(light: bool) -> Lab {
 }
 
 /// Measures the scan while `act` does to the lamp what it likes; it is told the night's forecast.
-fn night(lab: &Lab, act: impl AsyncFnOnce(Twins, Duration)) -> Over {
+fn night(lab: Lab, act: impl AsyncFnOnce(Twins, Duration)) -> Over {
     let scan = lab.scan("drift.toml", SCAN);
     let options = Options { drivers: Vec::new(), today: jiff::civil::date(2026, 3, 4) };
     let checked = check(&scan, &lab.instrument(), &options).unwrap_or_else(|e| panic!("{e}"));
@@ -100,7 +102,7 @@ fn night(lab: &Lab, act: impl AsyncFnOnce(Twins, Duration)) -> Over {
     });
     let rows = RunDir::open(&path).unwrap().with(|j| j.events()).unwrap();
     let events = rows.iter().map(|row| serde_json::from_str(&row.json).unwrap()).collect();
-    Over { path, outcome, events }
+    Over { _lab: lab, path, outcome, events }
 }
 
 fn is_whole(over: &Over) {
@@ -136,9 +138,9 @@ fn columns(over: &Over) -> Vec<Column> {
 
 #[test]
 fn a_lamp_that_drifts_gives_the_same_bsdf_and_without_the_monitor_would_not() {
-    let steady = columns(&night(&lab(true), async |_, _| ()));
-    let corrected = columns(&night(&lab(true), down_and_up));
-    let uncorrected = columns(&night(&lab(false), down_and_up));
+    let steady = columns(&night(lab(true), async |_, _| ()));
+    let corrected = columns(&night(lab(true), down_and_up));
+    let uncorrected = columns(&night(lab(false), down_and_up));
     let (mut worst, mut worst_without) = (0.0_f64, 0.0_f64);
     let (mut patches, mut within, mut within_without) = (0, 0, 0);
     for ((a, b), c) in steady.iter().zip(&corrected).zip(&uncorrected) {
@@ -172,7 +174,7 @@ fn a_lamp_that_drifts_gives_the_same_bsdf_and_without_the_monitor_would_not() {
 
 #[test]
 fn a_bracket_during_which_the_lamp_jumped_is_taken_again() {
-    let over = night(&lab(true), async |twins, span| {
+    let over = night(lab(true), async |twins, span| {
         for by in [-0.04, 0.04] {
             tokio::time::sleep(span.mul_f64(0.31)).await;
             twins.inject(Fault::Lamp(LampFault::Jump(by)));
@@ -181,14 +183,14 @@ fn a_bracket_during_which_the_lamp_jumped_is_taken_again() {
     is_whole(&over);
     let n = retaken(&over);
     assert!((1..=2).contains(&n), "{n} brackets were taken again");
-    let quiet = night(&lab(true), async |_, _| ());
+    let quiet = night(lab(true), async |_, _| ());
     assert_eq!(retaken(&quiet), 0, "a lamp that only flickers costs no bracket");
 }
 
 /// Out in the middle of a bracket, struck again when the arc is cold: exposures wait, the bracket is taken again.
 #[test]
 fn exposures_wait_while_the_lamp_is_out() {
-    let over = night(&lab(true), async |twins, span| {
+    let over = night(lab(true), async |twins, span| {
         tokio::time::sleep(span.mul_f64(0.5)).await;
         twins.inject(Fault::Lamp(LampFault::Off));
         tokio::time::sleep(Duration::from_secs(900)).await;
@@ -202,11 +204,11 @@ fn exposures_wait_while_the_lamp_is_out() {
 fn a_lamp_beyond_its_alarm_and_a_silent_monitor_end_the_run_safely() {
     let alarmed = lab(true);
     alarmed.edit("instrument.sim.toml", &[("lamp_drift_warning = 0.08", "lamp_drift_alarm = 0.5")], true);
-    let out = night(&alarmed, async |twins, span| {
+    let out = night(alarmed, async |twins, span| {
         tokio::time::sleep(span.mul_f64(0.5)).await;
         twins.inject(Fault::Lamp(LampFault::Off));
     });
-    let silent = night(&lab(true), async |twins, span| {
+    let silent = night(lab(true), async |twins, span| {
         tokio::time::sleep(span.mul_f64(0.5)).await;
         twins.inject(Fault::Unplugged("sim:light-monitor".to_owned(), Duration::from_secs(3600)));
     });
