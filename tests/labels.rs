@@ -15,7 +15,8 @@ use goniod::control::events::{Event, EventBus};
 use goniod::control::plan::{Step, Subject, View};
 use goniod::front::bench::{Faults, Rehearsal, open_simulated};
 use goniod::front::night;
-use goniod::front::oracle::{Files, Verdict, differences};
+use goniod::front::oracle::brackets::{BracketFrame, Sensor, Told};
+use goniod::front::oracle::{Files, Verdict, differences, judge};
 use goniod_drivers::clock::{Clock, UtcMicros};
 use goniod_drivers::units::ExposureTime;
 use goniod_sim::camera::CameraFault;
@@ -51,14 +52,6 @@ frames = 1
 [reference]
 every_directions = 4
 "#;
-
-/// Mean level below the reserved rows.
-fn mean_level(files: &Files, step: &Step, view: &View) -> f64 {
-    let pixels = files.pixels(step, view).unwrap();
-    let first = files.reserved_pixels(view);
-    let sum: u64 = (first..pixels.len()).map(|i| u64::from(pixels.level(i))).sum();
-    sum as f64 / (pixels.len() - first) as f64
-}
 
 /// Reasons of all rejections in the journal, with their steps.
 fn rejections(files: &Files) -> Vec<(u32, String)> {
@@ -149,31 +142,70 @@ fn the_oracle_finds_every_kind_of_wrong_label() {
     assert_eq!(count(step, view, id + 1), 1);
 }
 
-/// Without the painting: the levels of each bracket rise with exposure.
+/// Without the painting: what the second look of the oracle says of a run's pictures when the frames of neighbouring
+/// exposures change places, one is stored again for its neighbour, or one has half or twice its light.
 #[test]
-fn mean_levels_rise_with_exposure() {
+fn swapped_repeated_and_wrongly_exposed_frames_are_found_without_the_painting() {
     let lab = Lab::small();
     let files = rehearsed(&lab);
-    let mut brackets: BTreeMap<(u32, String), Vec<(ExposureTime, f64)>> = BTreeMap::new();
+    let mut brackets: BTreeMap<u32, (&View, Vec<BracketFrame>)> = BTreeMap::new();
     for (step, view) in files.steps().filter(|(_, v)| v.subject != Subject::Dark) {
-        let mean = mean_level(&files, step, view);
-        brackets.entry((view.id, view.camera.clone())).or_default().push((step.exposure, mean));
+        let (pixels, first) = (files.pixels(step, view).unwrap(), files.reserved_pixels(view));
+        let frame = BracketFrame::of(step.exposure.0, pixels.len() - first, |i| pixels.level(first + i));
+        brackets.entry(view.id).or_insert((view, Vec::new())).1.push(frame);
     }
-    let (mut pairs, mut lit) = (0, 0);
-    for ((view, camera), mut frames) in brackets {
-        frames.sort_by_key(|(t, _)| *t);
+    let (mut fits, mut little, mut tried, mut found) = (0, 0, 0, 0);
+    for (view, mut frames) in brackets.into_values() {
+        let camera = &files.document.instrument.camera[&view.camera];
+        let sensor = Sensor::of(camera, &files.document.calibrations[&view.camera]).unwrap();
+        frames.sort_by_key(|frame| frame.exposure_us);
         for pair in frames.windows(2) {
-            let [(_, short), (_, long)] = pair else { unreachable!("windows of two") };
-            assert!(long >= short, "view {view}: {frames:?}");
-            pairs += 1;
-            let levels = files.document.instrument.camera[&camera].format.levels();
-            if (0.004..0.1).contains(&(short / f64::from(levels))) {
-                assert!(*long > 1.3 * short, "view {view}: {frames:?}");
-                lit += 1;
+            let [short, long] = pair else { unreachable!("windows of two") };
+            match sensor.compare(short, long) {
+                Told::Contradicts(why) => panic!("view {}: {why}", view.id),
+                Told::Little => little += 1,
+                Told::Fits => {
+                    fits += 1;
+                    let labelled =
+                        |us: u64, of: &BracketFrame| BracketFrame { exposure_us: us, levels: of.levels.clone() };
+                    let (s, l) = (short.exposure_us, long.exposure_us);
+                    for (a, b) in [
+                        (labelled(s, long), labelled(l, short)),
+                        (labelled(s, short), labelled(l, short)),
+                        (labelled(s, long), labelled(l, long)),
+                        (labelled(s, short), labelled(2 * l, long)),
+                        (labelled(s, short), labelled(l / 2, long)),
+                    ] {
+                        tried += 1;
+                        found += usize::from(matches!(sensor.compare(&a, &b), Told::Contradicts(_)));
+                    }
+                }
             }
         }
     }
-    assert!(pairs > 100 && lit > 20, "{pairs} pairs, {lit} of them lit");
+    eprintln!("{fits} pairs fit, {little} tell little; {found} of {tried} changed ones are found");
+    assert!(fits > 40, "{fits}");
+    assert_eq!(found, tried);
+}
+
+/// The same from the files: the oracle reads a run in which somebody exchanged two chunks.
+#[test]
+fn the_oracle_finds_exchanged_chunks_by_their_levels_alone() {
+    let lab = Lab::small();
+    let files = rehearsed(&lab);
+    let run = files.dir.path().to_owned();
+    assert_eq!(judge(&run).unwrap().off_response, Vec::<String>::new());
+    let lit = |(_, v): &(&Step, &View)| v.band.as_deref() == Some("f5") && matches!(v.subject, Subject::Sample { .. });
+    let steps: Vec<_> = files.steps().filter(lit).collect();
+    let pair = steps.windows(2).rev().find(|w| w[0].1.id == w[1].1.id).unwrap();
+    let chunk = |(step, view): (&Step, &View)| {
+        files.dir.frames().chunk_path(&view.camera, view.array_index, step.exposure_index)
+    };
+    let (one, other) = (chunk(pair[0]), chunk(pair[1]));
+    let (a, b) = (std::fs::read(&one).unwrap(), std::fs::read(&other).unwrap());
+    std::fs::write(&one, b).unwrap();
+    std::fs::write(&other, a).unwrap();
+    assert!(!judge(&run).unwrap().off_response.is_empty());
 }
 
 /// Every kind of camera fault, again and again through the night, on the first, the middle and the last frame of

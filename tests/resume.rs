@@ -40,9 +40,15 @@ fn chunks(run: &Path) -> usize {
 
 /// A rehearsal killed once it has stored `frames` frames; its run directory.
 fn killed_after(lab: &Lab, scan: &str, runs: &str, frames: usize) -> PathBuf {
+    killed_with(lab, scan, runs, frames, &[])
+}
+
+/// The same with more arguments.
+fn killed_with(lab: &Lab, scan: &str, runs: &str, frames: usize, more: &[&str]) -> PathBuf {
     let runs = lab.path(runs);
     let args = ["rehearse", scan, "--instrument", &text(&lab.instrument()), "--runs", &text(&runs), "--no-products"];
-    let mut child = lab.command(&args).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let mut child =
+        lab.command(&[&args[..], more].concat()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
     let run = || fs::read_dir(&runs).ok()?.flatten().map(|e| e.path()).find(|p| p.join("journal.sqlite").is_file());
     loop {
         if run().is_some_and(|run| chunks(&run) >= frames) {
@@ -99,6 +105,28 @@ fn a_run_is_not_gone_on_with_by_another_instrument_or_calibration_and_each_diffe
     fs::write(Path::new(&run).join("plan.toml"), "broken").unwrap();
     let said = lab.goniod(&["resume", &run, "--instrument", &instrument]);
     assert_eq!(said.code, 6, "{}{}", said.out, said.err);
+}
+
+/// A sample that only the command line named lies in the bench again.
+#[test]
+fn a_rehearsal_of_another_sample_is_gone_on_with_with_that_sample() {
+    let lab = Lab::small();
+    let scan = text(&lab.scan("cut.toml", SCAN));
+    let other = lab.path("elsewhere.toml");
+    fs::copy(lab.path("config/sim/samples/lambertian_t20.toml"), &other).unwrap();
+    let run = killed_with(&lab, &scan, "runs", 4, &["--sample", &text(&other)]);
+    let instrument = text(&lab.instrument());
+    let resume = || lab.goniod(&["resume", &text(&run), "--instrument", &instrument, "--no-products"]);
+    let good = fs::read_to_string(&other).unwrap();
+    fs::write(&other, format!("{good}\n# another one\n")).unwrap();
+    let said = resume();
+    assert!(said.code == 3 && said.err.contains("sample.simulated"), "{}{}", said.out, said.err);
+    fs::write(&other, good).unwrap();
+    let said = resume();
+    assert_eq!(said.code, 0, "{}{}", said.out, said.err);
+    assert_eq!(lab.goniod(&["verify", &text(&run)]).code, 0);
+    let verdict = goniod::front::oracle::judge(&run).unwrap();
+    assert!(verdict.is_clean() && verdict.pairs_telling > 0, "{:?}", verdict.lines());
 }
 
 /// In the time of the wall: the same command again goes on by itself where the instrument wants that.

@@ -45,6 +45,10 @@ pub enum CameraFault {
     Lost,
     /// The camera is gone, and its settings with it: opened again, it has those of the factory.
     Forgets,
+    /// The next setting that changes something is swallowed: the registers keep what they had.
+    NotTaken,
+    /// The driver panics.
+    Panic,
 }
 
 /// Faults to come, in order; one is taken by each frame read. Clones share the queue.
@@ -121,8 +125,19 @@ impl FaultQueue {
         }
     }
 
+    /// The fault of the frame that is read next; one that waits for a setting stays.
     fn take(&self) -> Option<CameraFault> {
-        self.0.lock().ok()?.pop_front().flatten()
+        let mut queue = self.0.lock().ok()?;
+        if queue.front() == Some(&Some(CameraFault::NotTaken)) { None } else { queue.pop_front().flatten() }
+    }
+
+    /// True when the setting that is made now is to be swallowed.
+    fn swallows(&self) -> bool {
+        let swallows = |queue: &mut VecDeque<Option<CameraFault>>| {
+            let next = queue.front() == Some(&Some(CameraFault::NotTaken));
+            next && queue.pop_front().is_some()
+        };
+        self.0.lock().is_ok_and(|mut queue| swallows(&mut queue))
     }
 }
 
@@ -367,6 +382,9 @@ impl Camera for SimCamera {
         self.must_be_open()?;
         self.check(&settings)?;
         let now = self.surroundings.clock.now();
+        if settings != self.registers && self.faults.swallows() {
+            return Ok(self.registers);
+        }
         if settings != self.registers
             && let Some(stream) = self.stream.as_mut()
         {
@@ -414,6 +432,11 @@ impl Camera for SimCamera {
                 return Err(self.error(ErrorKind::Lost, "the camera is gone; open it again"));
             }
             Some(CameraFault::Late(by)) => clock.sleep(by).await,
+            Some(CameraFault::Panic) => {
+                self.held = None;
+                // As a panic, without the message that one prints.
+                std::panic::resume_unwind(Box::new("a camera's driver panics as the fault plan wants it".to_owned()));
+            }
             Some(CameraFault::SkippedId) => {
                 self.held = None;
                 self.stream.as_mut().and_then(Stream::pop);

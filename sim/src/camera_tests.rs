@@ -185,6 +185,20 @@ async fn every_fault_shows_as_it_would_on_a_real_camera() {
     assert!(faults.is_empty());
 }
 
+/// A setting that is swallowed shows in the registers; frames in between lose nothing of the fault.
+#[tokio::test(start_paused = true)]
+async fn a_swallowed_setting_is_told_by_the_registers() {
+    let bench = bench(5);
+    let mut camera = opened(&bench, "ingaas", 10_000).await;
+    let faults = bench.faults("ingaas").unwrap();
+    faults.push(CameraFault::NotTaken);
+    assert_eq!(camera.apply(settings(10_000)).await.unwrap(), settings(10_000), "nothing changes, nothing is lost");
+    camera.next_frame().await.unwrap();
+    assert_eq!(camera.apply(settings(40_000)).await.unwrap(), settings(10_000));
+    assert!(faults.is_empty());
+    assert_eq!(camera.apply(settings(40_000)).await.unwrap(), settings(40_000));
+}
+
 #[tokio::test(start_paused = true)]
 async fn dropping_a_wait_loses_no_frame() {
     let bench = bench(6);

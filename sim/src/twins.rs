@@ -85,6 +85,8 @@ pub enum Fault {
     Lamp(LampFault),
     /// The adapter of a port (`sim:holder`) is pulled out for so long.
     Unplugged(String, std::time::Duration),
+    /// A port (`sim:holder`) hangs for so long.
+    Stuck(String, std::time::Duration),
 }
 
 // === impl TwinsSpec ===
@@ -215,6 +217,14 @@ impl Twins {
                 "sim:shutter" => self.shutter.unplug_for(time),
                 "sim:monochromator" => self.monochromator.unplug_for(time),
                 "sim:light-monitor" => self.light_monitor.unplug_for(time),
+                _ => tracing::warn!(port, "no such port on the simulated bench"),
+            },
+            Fault::Stuck(port, time) => match port.as_str() {
+                "sim:holder" => self.holder.stick_for(time),
+                "sim:filter-wheel" => self.wheel.stick_for(time),
+                "sim:shutter" => self.shutter.stick_for(time),
+                "sim:monochromator" => self.monochromator.stick_for(time),
+                "sim:light-monitor" => self.light_monitor.stick_for(time),
                 _ => tracing::warn!(port, "no such port on the simulated bench"),
             },
         }

@@ -117,8 +117,8 @@ pub enum Event {
     ViewRetaken {
         /// View of the plan.
         view: u32,
-        /// Relative change of the light monitor from its beginning to its end.
-        change: f64,
+        /// Relative change of the light monitor from its beginning to its end; absent where it is not known.
+        change: Option<f64>,
     },
     /// The archive gave an error.
     ArchiveError {

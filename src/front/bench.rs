@@ -9,7 +9,7 @@ mod simulated;
 
 pub use hardware::open_hardware;
 #[cfg(feature = "sim")]
-pub use simulated::{Faults, PaintedTruth, Schedule, open_simulated, open_with_own_cameras, read_pixels};
+pub use simulated::{Faults, PaintedTruth, Schedule, open_simulated, open_with_own_cameras, read_pixels, verb};
 
 use crate::config::check::Checked;
 use crate::config::instrument::{Axis, Instrument, Link};

@@ -4,13 +4,16 @@
 //! been. A step is *lost* when it is neither stored nor listed as missing, or its frame is not where the journal says;
 //! *doubled* when the same frame stands under two labels; *mislabelled* when the painting tells of another pose, filter,
 //! shutter, exposure or frame counter than the label. A second check knows nothing of the painting: within a bracket
-//! counts must rise with exposure.
+//! counts must rise with exposure as the calibrated response says ([`brackets`]).
+
+pub mod brackets;
 
 use super::bench::{PaintedTruth, read_pixels};
 use crate::archive::rows::{FrameRow, StepRow, StepState};
 use crate::archive::{ArchiveError, RunDir};
 use crate::control::plan::document::RunDocument;
 use crate::control::plan::{Step, Subject, View};
+use brackets::{BracketFrame, Sensor, Told};
 use goniod_drivers::frame::Pixels;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -19,9 +22,6 @@ use thiserror::Error;
 
 /// Largest difference between commanded and true axis angle, millionths of a degree: two microsteps.
 pub const ANGLE_UDEG: f64 = 500.0;
-
-/// Part of full scale by which the mean of a longer exposure may lie below that of a shorter one: noise.
-const FALL: f64 = 0.002;
 
 /// Why a run cannot be judged.
 #[derive(Debug, Error)]
@@ -51,13 +51,15 @@ pub struct Verdict {
     pub doubled: Vec<String>,
     /// Another truth in the picture than on the label.
     pub mislabelled: Vec<String>,
-    /// Brackets whose counts fall with exposure.
-    pub falling: Vec<String>,
+    /// Neighbouring exposures of a bracket whose counts do not rise as the response says.
+    pub off_response: Vec<String>,
     /// Pictures of zeros that came for other pictures of zeros (a dark, or the same scene at another exposure): pixel by
     /// pixel what should have come, so that nothing is wrong and nothing could be told.
     pub alike: usize,
     /// Pairs of neighbouring exposures compared by their counts.
     pub pairs: usize,
+    /// Those of them that are bright and dim enough for the response to predict one from the other.
+    pub pairs_telling: usize,
 }
 
 /// Frames and steps of a run, from its files alone.
@@ -72,8 +74,8 @@ pub struct Files {
 /// anew, so that equal pictures at other times are other frames.)
 type Seen = BTreeMap<(String, i64), u32>;
 
-/// Mean levels of one bracket: exposure in microseconds, mean as part of full scale.
-type Means = BTreeMap<u32, Vec<(u64, f64)>>;
+/// The bracket that is being read: its view and the frames so far.
+type Reading = (Option<u32>, Vec<BracketFrame>);
 
 /// Judges the run at `path`.
 ///
@@ -91,15 +93,15 @@ impl Verdict {
         self.faults() == 0 && self.planned == self.stored + self.missing + self.to_do
     }
 
-    /// Lost, doubled, mislabelled and falling together.
+    /// Lost, doubled, mislabelled and off the response together.
     pub fn faults(&self) -> usize {
-        self.lost.len() + self.doubled.len() + self.mislabelled.len() + self.falling.len()
+        self.lost.len() + self.doubled.len() + self.mislabelled.len() + self.off_response.len()
     }
 
     /// One line for people, and one for each fault.
     pub fn lines(&self) -> Vec<String> {
         let mut lines = vec![format!(
-            "oracle: {} planned = {} stored + {} missing + {} to do; {} lost, {} doubled, {} mislabelled, {} brackets fall, \
+            "oracle: {} planned = {} stored + {} missing + {} to do; {} lost, {} doubled, {} mislabelled, {} off the response, \
              {} black for black",
             self.planned,
             self.stored,
@@ -108,10 +110,10 @@ impl Verdict {
             self.lost.len(),
             self.doubled.len(),
             self.mislabelled.len(),
-            self.falling.len(),
+            self.off_response.len(),
             self.alike
         )];
-        for list in [&self.lost, &self.doubled, &self.mislabelled, &self.falling] {
+        for list in [&self.lost, &self.doubled, &self.mislabelled, &self.off_response] {
             lines.extend(list.iter().cloned());
         }
         lines
@@ -158,8 +160,9 @@ impl Files {
         let frames: BTreeMap<u32, FrameRow> = frames.into_iter().map(|f| (f.step, f)).collect();
         let rows: BTreeMap<u32, StepRow> = rows.into_iter().map(|r| (r.layout.number, r)).collect();
         let mut verdict = Verdict { planned: self.document.plan.steps.len(), ..Verdict::default() };
-        let (mut seen, mut means) = (Seen::new(), Means::new());
+        let (mut seen, mut reading) = (Seen::new(), Reading::default());
         for (step, view) in self.steps() {
+            self.begin_bracket(Some(view), &mut reading, &mut verdict);
             match rows.get(&step.number).map(|row| &row.state) {
                 None => verdict.lost.push(format!("step {}: the journal does not know it", step.number)),
                 Some(StepState::Planned) => verdict.to_do += 1,
@@ -169,19 +172,44 @@ impl Files {
                 Some(StepState::Missing(_)) => verdict.missing += 1,
                 Some(StepState::Stored) => {
                     verdict.stored += 1;
-                    self.judge_frame((step, view), frames.get(&step.number), (&mut seen, &mut means), &mut verdict);
+                    self.judge_frame((step, view), frames.get(&step.number), (&mut seen, &mut reading.1), &mut verdict);
                 }
             }
         }
-        judge_rise(means, &mut verdict);
+        self.begin_bracket(None, &mut reading, &mut verdict);
         Ok(verdict)
+    }
+
+    /// Where another bracket begins, the one that was read is judged.
+    fn begin_bracket(&self, next: Option<&View>, reading: &mut Reading, verdict: &mut Verdict) {
+        if next.map(|view| view.id) == reading.0 {
+            return;
+        }
+        let (before, mut frames) = std::mem::replace(reading, (next.map(|view| view.id), Vec::new()));
+        let view = before.and_then(|id| self.document.plan.views.get(id as usize));
+        let Some((view, sensor)) = view.and_then(|view| Some((view, self.sensor(view)?))) else { return };
+        frames.sort_by_key(|frame| frame.exposure_us);
+        for pair in frames.windows(2) {
+            let [short, long] = pair else { continue };
+            verdict.pairs += 1;
+            let told = sensor.compare(short, long);
+            verdict.pairs_telling += usize::from(told != Told::Little);
+            if let Told::Contradicts(why) = told {
+                verdict.off_response.push(format!("view {}: {why}", view.id));
+            }
+        }
+    }
+
+    fn sensor(&self, view: &View) -> Option<Sensor> {
+        let camera = self.document.instrument.camera.get(&view.camera)?;
+        Sensor::of(camera, self.document.calibrations.get(&view.camera)?)
     }
 
     fn judge_frame(
         &self,
         (step, view): (&Step, &View),
         row: Option<&FrameRow>,
-        (seen, means): (&mut Seen, &mut Means),
+        (seen, bracket): (&mut Seen, &mut Vec<BracketFrame>),
         verdict: &mut Verdict,
     ) {
         let number = step.number;
@@ -204,9 +232,8 @@ impl Files {
         }
         verdict.mislabelled.extend(found.into_iter().map(|what| format!("step {number}: {what}")));
         if view.subject != Subject::Dark {
-            let sum: u64 = (first..pixels.len()).map(|i| u64::from(pixels.level(i))).sum();
-            let mean = sum as f64 / (pixels.len() - first).max(1) as f64 / f64::from(levels);
-            means.entry(view.id).or_default().push((step.exposure.0, mean));
+            let count = pixels.len().saturating_sub(first);
+            bracket.push(BracketFrame::of(step.exposure.0, count, |i| pixels.level(first + i)));
         }
     }
 
@@ -247,20 +274,4 @@ pub fn differences(truth: &PaintedTruth, (step, view): (&Step, &View), id: u64) 
 /// Only exposure or counter differ.
 fn same_pose(found: &[String]) -> bool {
     found.iter().all(|what| what.starts_with("exposure") || what.starts_with("frame counter"))
-}
-
-/// Counts rise with exposure in every bracket.
-fn judge_rise(means: Means, verdict: &mut Verdict) {
-    for (view, mut frames) in means {
-        frames.sort_by_key(|(exposure, _)| *exposure);
-        for pair in frames.windows(2) {
-            let [(short_us, short), (long_us, long)] = pair else { continue };
-            verdict.pairs += 1;
-            if long + FALL < *short {
-                let (short, long) = (short * 100.0, long * 100.0);
-                let what = format!("view {view}: {short:.2} % at {short_us} us, {long:.2} % at {long_us} us");
-                verdict.falling.push(what);
-            }
-        }
-    }
 }

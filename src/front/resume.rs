@@ -83,7 +83,7 @@ impl Unfinished {
             found.extend(file_difference(file, &place(file, instrument, base)));
         }
         let kept_sample = document.files.iter().find(|f| f.role == "sample.simulated");
-        let sample = kept_sample.map(|file| sample.unwrap_or_else(|| base.join(&file.name)));
+        let sample = kept_sample.map(|file| sample.unwrap_or_else(|| sample_place(file, &document, base)));
         if let (Some(file), Some(at)) = (kept_sample, &sample) {
             found.extend(file_difference(file, at));
         }
@@ -165,6 +165,12 @@ fn place(file: &KeptFile, i: &Instrument, base: &Path) -> PathBuf {
         "reference.transmission.spectrum" => i.reference.transmission.as_ref().map(|r| &r.spectrum),
         role => role.strip_prefix("calibration.").and_then(|name| i.camera.get(name)).map(|c| &c.calibration),
     };
+    base.join(named.map_or(Path::new(&file.name), PathBuf::as_path))
+}
+
+/// Where the sample of a simulated bench lies: beside the instrument file, or where the scan says.
+fn sample_place(file: &KeptFile, document: &RunDocument, base: &Path) -> PathBuf {
+    let named = document.scan.sample.simulated.as_ref().filter(|_| file.name.starts_with("outside/"));
     base.join(named.map_or(Path::new(&file.name), PathBuf::as_path))
 }
 

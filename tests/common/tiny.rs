@@ -1,6 +1,9 @@
 //! A bench with sensors just large enough for the painted truth, and nights on it in simulated time.
 #![allow(dead_code, clippy::unwrap_used, clippy::expect_used)]
 
+#[path = "rough.rs"]
+mod rough;
+
 use super::common::Lab;
 use goniod::archive::disk::{Disk, RealDisk};
 use goniod::archive::{NewRun, RunDir};
@@ -10,14 +13,18 @@ use goniod::control::plan::Plan;
 use goniod::control::plan::document::RunDocument;
 use goniod::control::sequencer::layout::layout;
 use goniod::control::sequencer::run::Outcome;
-use goniod::front::bench::{Opened, Rehearsal, Schedule, open_simulated};
+use goniod::control::sequencer::state::Ending;
+use goniod::front::bench::{Rehearsal, Schedule, open_simulated};
 use goniod::front::night::{self, Night};
 use goniod_drivers::clock::{Clock, UtcMicros};
-use goniod_sim::faults::Counts;
+use goniod_sim::faults::Kind;
+use goniod_sim::faults::catalogue::ProcessKind;
+use rough::{RoughDisk, Surroundings};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::pin::pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -47,13 +54,56 @@ pub struct Tiny {
     pub checked: Checked,
 }
 
+/// Light monitor and interlocks, for the instrument file.
+const LIGHT: &str = r#"
+[light_monitor]
+driver = "newport-1830c"
+port = "sim:light-monitor"
+wavelength_nm = 550.0
+average = 4
+
+[interlocks]
+period_s = 30.0
+lamp_drift_warning = 0.06
+drift_per_view = 0.01
+longest_suspension_s = 7200.0
+
+[camera.ccd]"#;
+
+/// How long a run rests before it is gone on with.
+const REST_US: i64 = 60_000_000;
+const HOUR_US: i64 = 3_600_000_000;
+/// Lives of one run at most.
+const LIVES: u32 = 64;
+
 /// A night that is over.
 pub struct Over {
     pub path: PathBuf,
     pub outcome: Outcome,
-    pub counts: Counts,
-    /// Simulated time it took.
-    pub took: Duration,
+    /// Faults that really happened.
+    pub fired: BTreeMap<Kind, u32>,
+    /// How often the run was gone on with.
+    pub resumed: u32,
+    /// What must not be.
+    pub wrong: Vec<String>,
+}
+
+/// One process that works on a run, from its start to its end.
+struct Life {
+    ended: Result<Outcome, ProcessKind>,
+    fired: BTreeMap<Kind, u32>,
+    /// Faults begun, and the time that passed.
+    begun: usize,
+    took: Duration,
+    utc: UtcMicros,
+    wrong: Vec<String>,
+}
+
+/// A run's folder, and whether it is gone on with.
+#[derive(Clone, Copy)]
+enum Begin<'a> {
+    New(&'a Path),
+    Again(&'a Path),
 }
 
 /// A scan with `directions` directions, both transmission and reflection, both cameras.
@@ -74,7 +124,10 @@ pub fn scan_text(directions: usize) -> String {
 impl Tiny {
     /// The lab with this scan.
     pub fn new(scan: &str) -> Tiny {
-        let lab = Lab::shipped();
+        Tiny::in_lab(Lab::shipped(), scan)
+    }
+
+    fn in_lab(lab: Lab, scan: &str) -> Tiny {
         for file in ["instrument.sim.toml", "sim/bench.toml", "calibration/ccd.sim.toml", "calibration/ingaas.sim.toml"]
         {
             lab.edit(file, &TINY, false);
@@ -90,31 +143,88 @@ impl Tiny {
         Tiny { lab, runs: memory_folder(), checked }
     }
 
+    /// The lab with this scan and a light monitor.
+    pub fn with_light(scan: &str) -> Tiny {
+        let lab = Lab::shipped();
+        lab.edit("instrument.sim.toml", &[("\n[camera.ccd]", LIGHT)], true);
+        Tiny::in_lab(lab, scan)
+    }
+
     /// The plan.
     pub fn plan(&self) -> Plan {
         night::plan(&self.checked).unwrap_or_else(|e| panic!("{:?}", e.messages))
     }
 
-    /// One night from its beginning, in simulated time, in a folder of its own.
+    /// One night from its beginning, in simulated time, in a folder of its own. What a fault of the plan ends, another
+    /// process goes on with.
     pub fn night(&self, seed: u64, schedule: &Schedule, disk: Arc<dyn Disk>) -> Over {
         let runs = self.runs.path().join(format!("{seed}-{}", schedule.entries.len()));
-        self.run(seed, schedule, |clock, plan, _| {
-            let night = self.prepare(&runs, plan, clock, seed, disk);
-            (night.run.clone(), night)
+        let path = runs.join("night");
+        let disk = Arc::new(RoughDisk::over(disk));
+        let mut life = self.life(seed, schedule, Begin::New(&runs), EVENING, &disk);
+        let (mut fired, mut wrong, mut resumed) = (BTreeMap::new(), Vec::new(), 0);
+        let (mut begun, mut passed) = (0, Duration::ZERO);
+        loop {
+            life.fired.iter().for_each(|(kind, n)| *fired.entry(*kind).or_default() += n);
+            wrong.append(&mut life.wrong);
+            (begun, passed) = (begun + life.begun, passed + life.took);
+            match life.ended {
+                Ok(outcome) if !is_to_go_on(&outcome) => return Over { path, outcome, fired, resumed, wrong },
+                _ => {}
+            }
+            resumed += 1;
+            assert!(resumed < LIVES, "night {seed} does not come to its end");
+            let step = match life.ended {
+                Err(ProcessKind::ClockBack) => -HOUR_US,
+                Err(ProcessKind::ClockForward) => HOUR_US,
+                _ => 0,
+            };
+            let start = UtcMicros(life.utc.0 + REST_US + step);
+            disk.mend();
+            life = self.life(seed, &schedule.rest(begun, passed), Begin::Again(&path), start, &disk);
+        }
+    }
+
+    fn life(&self, seed: u64, schedule: &Schedule, begin: Begin<'_>, start: UtcMicros, disk: &Arc<RoughDisk>) -> Life {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().start_paused(true).build().unwrap();
+        // A process that is killed takes its tasks with it, each where it stands.
+        runtime.block_on(async {
+            let clock = Clock::starting_at(start);
+            let rehearsal = Rehearsal { seed: Some(seed), ..Rehearsal::default() };
+            let mut opened = open_simulated(&self.checked, &rehearsal, clock).unwrap();
+            let night = match begin {
+                Begin::New(runs) => self.prepare(runs, clock, seed, disk.clone()),
+                Begin::Again(path) => {
+                    let run = RunDir::resume_on(path, disk.clone()).unwrap_or_else(|e| panic!("night {seed}: {e}"));
+                    night_of(self.plan(), Arc::new(run), path.to_owned())
+                }
+            };
+            let (verbs, asked) = mpsc::channel(8);
+            let (kill, mut killed) = mpsc::channel(1);
+            let config = self.lab.path("config");
+            let around = Surroundings::new(&night.path, &config, (disk.clone(), verbs, kill));
+            let wrong = around.wrong();
+            let faults = opened.faults.as_ref().unwrap();
+            let counts = faults.carry_out(schedule.clone(), Arc::new(move |what| around.is_done(what)), clock);
+            let events = EventBus::default();
+            let mut measured = pin!(night::measure(&self.checked, &night, &mut opened, clock, asked, &events));
+            let ended = tokio::select! {
+                biased;
+                Some(kind) = killed.recv() => Err(kind),
+                outcome = &mut measured => Ok(outcome.unwrap_or_else(|e| panic!("night {seed}: {:?}", e.messages))),
+            };
+            if ended.is_err() {
+                // What the system was given before is on the disk: time passes when no write is under way.
+                clock.sleep(Duration::from_millis(1)).await;
+            }
+            let wrong = wrong.lock().unwrap().clone();
+            let (fired, begun) = (counts.fired(), counts.begun());
+            Life { ended, fired, begun, took: clock.elapsed(), utc: clock.utc(), wrong }
         })
     }
 
-    /// Goes on with a run.
-    pub fn resume(&self, path: &Path, seed: u64, disk: Arc<dyn Disk>) -> Over {
-        self.run(seed, &Schedule { entries: Vec::new() }, |_, plan, _| {
-            let run = Arc::new(RunDir::resume_on(path, disk).unwrap());
-            run.with(|j| j.plan_missing_again()).unwrap();
-            (run.clone(), night_of(plan, run, path.to_owned()))
-        })
-    }
-
-    fn prepare(&self, runs: &Path, plan: Plan, clock: Clock, seed: u64, disk: Arc<dyn Disk>) -> Night {
-        let checked = &self.checked;
+    fn prepare(&self, runs: &Path, clock: Clock, seed: u64, disk: Arc<dyn Disk>) -> Night {
+        let (checked, plan) = (&self.checked, self.plan());
         let document = RunDocument {
             run_id: "night".to_owned(),
             goniod_version: "test".to_owned(),
@@ -133,27 +243,16 @@ impl Tiny {
         let run = Arc::new(RunDir::create_on(runs, &new, disk).unwrap());
         night_of(plan, run, runs.join("night"))
     }
+}
 
-    fn run(
-        &self,
-        seed: u64,
-        schedule: &Schedule,
-        begin: impl FnOnce(Clock, Plan, &Opened) -> (Arc<RunDir>, Night),
-    ) -> Over {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().start_paused(true).build().unwrap();
-        runtime.block_on(async {
-            let clock = Clock::starting_at(EVENING);
-            let rehearsal = Rehearsal { seed: Some(seed), ..Rehearsal::default() };
-            let mut opened = open_simulated(&self.checked, &rehearsal, clock).unwrap();
-            let (run, night) = begin(clock, self.plan(), &opened);
-            drop(run);
-            let (verbs, asked) = mpsc::channel(8);
-            let faults = opened.faults.as_ref().unwrap();
-            let counts = faults.carry_out(schedule.clone(), verbs, clock);
-            let outcome = night::measure(&self.checked, &night, &mut opened, clock, asked, &EventBus::default()).await;
-            let outcome = outcome.unwrap_or_else(|e| panic!("{:?}", e.messages));
-            Over { path: night.path, outcome, counts, took: clock.elapsed() }
-        })
+/// True when the run was ended by something that the fault plan asked for.
+fn is_to_go_on(outcome: &Outcome) -> bool {
+    let told = |words: &str| outcome.message.as_ref().is_some_and(|message| message.contains(words));
+    match outcome.ending {
+        Ending::Stopped | Ending::Aborted | Ending::MadeSafe => true,
+        Ending::ArchiveFailed | Ending::DiskFull => true,
+        Ending::Crashed => told("as the fault plan wants it"),
+        _ => false,
     }
 }
 

@@ -1,19 +1,24 @@
 //! Lets the faults of a schedule happen on the bench, one after the other in simulated time, and counts those that
 //! really happened: a fault of the next answer counts when that answer went out wrong.
 
-use super::catalogue::{CameraKind, HolderKind, Kind, LineKind, Port, ShutterKind, WheelKind};
+use super::catalogue::{
+    CameraKind, DiskKind, HolderKind, Kind, LampKind, LineKind, MonitorKind, OperatorKind, Port, ProcessKind,
+    ShutterKind, WheelKind,
+};
 use super::schedule::{Entry, Schedule};
 use crate::camera::{CameraFault, FaultQueue};
 use crate::firmware::fw212c::WheelFault;
+use crate::firmware::newport_1830c::MonitorFault;
 use crate::firmware::outbox::WireFault;
 use crate::firmware::sc10::ShutterFault;
 use crate::firmware::zaber::ZaberFault;
+use crate::truth::lamp::LampFault;
 use crate::truth::rng::Key;
 use crate::twins::{Fault, Twins};
 use goniod_drivers::clock::Clock;
 use std::collections::BTreeMap;
 use std::fmt;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 /// Where faults go.
@@ -23,13 +28,51 @@ pub struct Targets {
     pub twins: Twins,
     /// Frames of each camera.
     pub cameras: BTreeMap<String, FaultQueue>,
-    /// Called with true when the operator pauses, with false when the night is to go on.
-    pub pause: Arc<dyn Fn(bool) + Send + Sync>,
+    /// What is around the bench; tells whether it could be done.
+    pub around: Arc<dyn Fn(Around) -> bool + Send + Sync>,
+}
+
+/// What happens around the bench.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Around {
+    /// This is asked of the run.
+    Ask(Wish),
+    /// A second daemon wants the run; done when it is refused.
+    SecondDaemon,
+    /// The files that the run was started from are edited.
+    Edit,
+    /// The disk is so from now on, or no longer.
+    Disk(DiskKind, bool),
+    /// The process ends.
+    Process(ProcessKind),
+}
+
+/// What an operator asks of a run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Wish {
+    /// To pause after the exposure under way.
+    Pause,
+    /// To pause at once.
+    PauseNow,
+    /// To go on.
+    Resume,
+    /// To end after the exposure under way.
+    Stop,
+    /// To end at once.
+    Abort,
+    /// To be safe at once.
+    Safe,
 }
 
 /// How often each kind really happened. Clones share the counts.
 #[derive(Debug, Clone, Default)]
-pub struct Counts(Arc<Mutex<BTreeMap<Kind, u32>>>);
+pub struct Counts(Arc<Mutex<Counted>>);
+
+#[derive(Debug, Default)]
+struct Counted {
+    fired: BTreeMap<Kind, u32>,
+    begun: usize,
+}
 
 /// Longest wait for an occasion; the next fault then comes on top.
 const OCCASION: Duration = Duration::from_secs(300);
@@ -41,7 +84,12 @@ const LOOK: Duration = Duration::from_millis(200);
 impl Counts {
     /// How often each kind happened.
     pub fn fired(&self) -> BTreeMap<Kind, u32> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.counted().fired.clone()
+    }
+
+    /// Faults of the schedule that were begun, whether or not they found their occasion.
+    pub fn begun(&self) -> usize {
+        self.counted().begun
     }
 
     /// All together.
@@ -49,8 +97,16 @@ impl Counts {
         self.fired().values().sum()
     }
 
+    fn begin(&self) {
+        self.counted().begun += 1;
+    }
+
     fn count(&self, kind: Kind) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner).entry(kind).or_default() += 1;
+        *self.counted().fired.entry(kind).or_default() += 1;
+    }
+
+    fn counted(&self) -> MutexGuard<'_, Counted> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -73,8 +129,10 @@ pub async fn carry_out(schedule: Schedule, targets: Targets, clock: Clock, count
     let mut entries = schedule.entries.into_iter().peekable();
     while let Some(entry) = entries.next() {
         clock.sleep_until(begin + entry.at).await;
-        targets.inject(entry, clock);
-        waiting.push(entry.kind);
+        counts.begin();
+        if targets.inject(entry, clock) {
+            waiting.push(entry.kind);
+        }
         if entries.peek().is_some_and(|next| next.at == entry.at) {
             continue;
         }
@@ -100,8 +158,8 @@ pub async fn carry_out(schedule: Schedule, targets: Targets, clock: Clock, count
 // === impl Targets ===
 
 impl Targets {
-    /// Lets one fault happen, now or at its next occasion.
-    fn inject(&self, entry: Entry, clock: Clock) {
+    /// Lets one fault happen, now or at its next occasion; false when it cannot.
+    fn inject(&self, entry: Entry, clock: Clock) -> bool {
         let (twins, draw) = (&self.twins, entry.draw);
         match entry.kind {
             Kind::Line(port, kind) => self.line(port, kind, draw),
@@ -119,18 +177,103 @@ impl Targets {
             },
             Kind::Shutter(kind) => self.shutter(kind, draw, clock),
             Kind::Camera(kind) => {
-                if let Some(queue) = self.camera(draw) {
-                    queue.push(camera(kind, draw));
-                }
+                let queue = self.camera(draw);
+                queue.inspect(|queue| queue.push(camera(kind, draw)));
+                return queue.is_some();
             }
-            Kind::Pause => {
-                let pause = Arc::clone(&self.pause);
-                pause(true);
-                let time = seconds(30.0, 600.0, draw);
-                tokio::spawn(async move {
-                    clock.sleep(time).await;
-                    pause(false);
+            Kind::Monitor(kind) => self.monitor(kind, draw),
+            Kind::Lamp(kind) => self.lamp(kind, draw, clock),
+            Kind::Operator(kind) => return self.operator(kind, draw, clock),
+            Kind::Disk(kind @ (DiskKind::Fails | DiskKind::SyncFails)) => {
+                return (self.around)(Around::Disk(kind, true));
+            }
+            Kind::Disk(kind) => {
+                let around = Arc::clone(&self.around);
+                let time = seconds(5.0, 300.0, draw);
+                later(clock, time, move || around(Around::Disk(kind, false)));
+                return (self.around)(Around::Disk(kind, true));
+            }
+            Kind::Process(ProcessKind::Panics) => {
+                let queue = self.camera(draw);
+                queue.inspect(|queue| queue.push(CameraFault::Panic));
+                return queue.is_some();
+            }
+            Kind::Process(kind) => return (self.around)(Around::Process(kind)),
+        }
+        true
+    }
+
+    fn monitor(&self, kind: MonitorKind, draw: Key) {
+        let now = |fault| self.twins.inject(Fault::LightMonitor(fault));
+        match kind {
+            MonitorKind::Hold => now(MonitorFault::Hold),
+            MonitorKind::Wavelength => now(MonitorFault::FrontWavelength(400 + (draw.bits(1) % 700) as u16)),
+            MonitorKind::Units => now(MonitorFault::FrontUnits(2 + (draw.bits(1) % 3) as u8)),
+            MonitorKind::Swallowed => {
+                // Settings are made after a restart only.
+                now(MonitorFault::SettingSwallowed);
+                now(MonitorFault::Restart);
+            }
+        }
+    }
+
+    fn operator(&self, kind: OperatorKind, draw: Key, clock: Clock) -> bool {
+        let ask = |wish| (self.around)(Around::Ask(wish));
+        let resume_later = || {
+            let around = Arc::clone(&self.around);
+            later(clock, seconds(30.0, 600.0, draw), move || around(Around::Ask(Wish::Resume)));
+        };
+        match kind {
+            OperatorKind::Pause => {
+                resume_later();
+                ask(Wish::Pause)
+            }
+            OperatorKind::PauseNow => {
+                resume_later();
+                ask(Wish::PauseNow)
+            }
+            OperatorKind::Flurry => [Wish::Pause, Wish::Resume, Wish::PauseNow, Wish::Resume].into_iter().all(ask),
+            OperatorKind::Stop => ask(Wish::Stop),
+            OperatorKind::Abort => ask(Wish::Abort),
+            OperatorKind::Safe => ask(Wish::Safe),
+            OperatorKind::SecondDaemon => (self.around)(Around::SecondDaemon),
+            OperatorKind::Edit => (self.around)(Around::Edit),
+        }
+    }
+
+    /// Lamp faults pass: what is lost comes back.
+    fn lamp(&self, kind: LampKind, draw: Key, clock: Clock) {
+        let twins = self.twins.clone();
+        let lamp = move |fault| twins.inject(Fault::Lamp(fault));
+        let minutes = |n: f64| Duration::from_secs_f64(60.0 * n);
+        let sign = if draw.bits(1).is_multiple_of(2) { 1.0 } else { -1.0 };
+        match kind {
+            LampKind::Off => {
+                lamp(LampFault::Off);
+                // Its arc can be struck again when it is cold.
+                later(clock, minutes(11.0 + 4.0 * draw.uniform(2)), move || lamp(LampFault::Strike));
+            }
+            LampKind::Jump => {
+                let by = sign * (0.015 + 0.03 * draw.uniform(2));
+                lamp(LampFault::Jump(by));
+                later(clock, minutes(0.5 + 4.0 * draw.uniform(3)), move || {
+                    lamp(LampFault::Jump(1.0 / (1.0 + by) - 1.0))
                 });
+            }
+            LampKind::Drift => {
+                // Percent within a bracket.
+                let per_hour = sign * (0.5 + draw.uniform(2));
+                let time = minutes(1.0 + draw.uniform(3));
+                lamp(LampFault::Drift(per_hour));
+                let by = per_hour * time.as_secs_f64() / 3600.0;
+                later(clock, time, move || {
+                    lamp(LampFault::Drift(0.0));
+                    lamp(LampFault::Jump(1.0 / (1.0 + by) - 1.0));
+                });
+            }
+            LampKind::Flicker => {
+                lamp(LampFault::Flicker(0.002 + 0.003 * draw.uniform(2)));
+                later(clock, minutes(1.0 + 4.0 * draw.uniform(3)), move || lamp(LampFault::Flicker(0.0)));
             }
         }
     }
@@ -140,6 +283,7 @@ impl Targets {
             Port::Holder => Fault::Holder(ZaberFault::Wire(fault)),
             Port::Wheel => Fault::Wheel(WheelFault::Wire(fault)),
             Port::Shutter => Fault::Shutter(ShutterFault::Wire(fault)),
+            Port::LightMonitor => Fault::LightMonitor(MonitorFault::Wire(fault)),
         };
         let place = draw.bits(1) as usize % 64;
         let fault = match kind {
@@ -157,13 +301,16 @@ impl Targets {
                 Port::Holder => Fault::Holder(ZaberFault::Restart(1 + (draw.bits(3) % 3) as u8)),
                 Port::Wheel => Fault::Wheel(WheelFault::Restart),
                 Port::Shutter => Fault::Shutter(ShutterFault::Restart),
+                Port::LightMonitor => Fault::LightMonitor(MonitorFault::Restart),
             },
             LineKind::RestartOnCommand => match port {
                 Port::Holder => Fault::Holder(ZaberFault::RestartOnCommand),
                 Port::Wheel => Fault::Wheel(WheelFault::RestartOnCommand),
                 Port::Shutter => Fault::Shutter(ShutterFault::RestartOnCommand),
+                Port::LightMonitor => Fault::LightMonitor(MonitorFault::RestartOnCommand),
             },
-            LineKind::Unplugged => return unplug(&self.twins, port, seconds(0.5, 6.0, draw)),
+            LineKind::Unplugged => Fault::Unplugged(name(port).to_owned(), seconds(0.5, 6.0, draw)),
+            LineKind::Stuck => Fault::Stuck(name(port).to_owned(), seconds(2.0, 20.0, draw)),
         };
         self.twins.inject(fault);
     }
@@ -185,10 +332,7 @@ impl Targets {
     fn passing(&self, clock: Clock, draw: Key, fault: impl Fn(bool) -> Fault + Send + 'static) {
         let twins = self.twins.clone();
         twins.inject(fault(true));
-        tokio::spawn(async move {
-            clock.sleep(seconds(1.0, 8.0, draw)).await;
-            twins.inject(fault(false));
-        });
+        later(clock, seconds(1.0, 8.0, draw), move || twins.inject(fault(false)));
     }
 
     fn camera(&self, draw: Key) -> Option<&FaultQueue> {
@@ -202,19 +346,34 @@ impl Targets {
             Kind::Line(Port::Holder, _) | Kind::Holder(_) => self.twins.holder.peek(|t| t.faults_wait()),
             Kind::Line(Port::Wheel, _) | Kind::Wheel(_) => self.twins.wheel.peek(|t| t.faults_wait()),
             Kind::Line(Port::Shutter, _) | Kind::Shutter(_) => self.twins.shutter.peek(|t| t.faults_wait()),
-            Kind::Camera(_) => self.cameras.values().any(|queue| !queue.is_empty()),
-            Kind::Pause | Kind::LongUnplugged(_) => false,
+            Kind::Line(Port::LightMonitor, _) | Kind::Monitor(_) => self.twins.light_monitor.peek(|t| t.faults_wait()),
+            Kind::Camera(_) | Kind::Process(ProcessKind::Panics) => {
+                self.cameras.values().any(|queue| !queue.is_empty())
+            }
+            Kind::Lamp(_) | Kind::Operator(_) | Kind::Disk(_) | Kind::Process(_) | Kind::LongUnplugged(_) => false,
         }
     }
 }
 
 fn unplug(twins: &Twins, port: Port, time: Duration) {
-    let name = match port {
+    twins.inject(Fault::Unplugged(name(port).to_owned(), time));
+}
+
+fn name(port: Port) -> &'static str {
+    match port {
         Port::Holder => "sim:holder",
         Port::Wheel => "sim:filter-wheel",
         Port::Shutter => "sim:shutter",
-    };
-    twins.inject(Fault::Unplugged(name.to_owned(), time));
+        Port::LightMonitor => "sim:light-monitor",
+    }
+}
+
+/// Does something after `time`; whether it could be done then matters to nobody.
+fn later<T>(clock: Clock, time: Duration, act: impl FnOnce() -> T + Send + 'static) {
+    tokio::spawn(async move {
+        clock.sleep(time).await;
+        let _ = act();
+    });
 }
 
 fn holder(kind: HolderKind, draw: Key, twins: &Twins, clock: Clock) -> ZaberFault {
@@ -249,6 +408,7 @@ fn camera(kind: CameraKind, draw: Key) -> CameraFault {
         CameraKind::Hang => CameraFault::Hang,
         CameraKind::Lost => CameraFault::Lost,
         CameraKind::Forgets => CameraFault::Forgets,
+        CameraKind::NotTaken => CameraFault::NotTaken,
     }
 }
 

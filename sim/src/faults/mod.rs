@@ -3,12 +3,12 @@
 //!
 //! - [`catalogue`]: every kind of fault, and which of them pass by themselves
 //! - [`schedule`]: which faults a night gets, and when
-//! - [`inject`]: lets them happen on the twins and cameras
+//! - [`inject`]: lets them happen on the twins and cameras, and asks for those around the bench
 
 pub mod catalogue;
 pub mod inject;
 pub mod schedule;
 
 pub use catalogue::Kind;
-pub use inject::{Counts, Targets, carry_out};
+pub use inject::{Around, Counts, Targets, Wish, carry_out};
 pub use schedule::{Mix, Schedule};

@@ -46,13 +46,23 @@ const TOGETHER: f64 = 0.2;
 // === impl Schedule ===
 
 impl Schedule {
-    /// The faults of a night that would last `span`.
-    pub fn of(mix: Mix, seed: u64, span: Duration) -> Schedule {
+    /// The faults of a night that would last `span`, on a bench with or without a light monitor.
+    pub fn of(mix: Mix, light_monitor: bool, seed: u64, span: Duration) -> Schedule {
+        let with_light = |mut kinds: Vec<Kind>| {
+            kinds.extend(Kind::of_the_light().into_iter().filter(|_| light_monitor));
+            mixed(kinds)
+        };
         match mix {
             Mix::None => Schedule { entries: Vec::new() },
-            Mix::Typical => Schedule::draw(&mixed(Kind::transient()), TYPICAL, 0.0, seed, span),
-            Mix::Nasty => Schedule::draw(&mixed(Kind::all()), NASTY, TOGETHER, seed, span),
+            Mix::Typical => Schedule::draw(&with_light(Kind::transient()), TYPICAL, 0.0, seed, span),
+            Mix::Nasty => Schedule::draw(&with_light(Kind::all()), NASTY, TOGETHER, seed, span),
         }
+    }
+
+    /// What is left after the first `begun` faults and `passed` of the night.
+    pub fn rest(&self, begun: usize, passed: Duration) -> Schedule {
+        let later = |entry: &Entry| Entry { at: entry.at.saturating_sub(passed), ..*entry };
+        Schedule { entries: self.entries.iter().skip(begun).map(later).collect() }
     }
 
     /// `count` faults of `kinds` within `span`, the share `together` of them along with their predecessor. Consecutive
@@ -121,23 +131,35 @@ mod tests {
 
     #[test]
     fn the_same_seed_gives_the_same_night_and_another_seed_another() {
-        assert_eq!(Schedule::of(Mix::Nasty, 7, HOUR), Schedule::of(Mix::Nasty, 7, HOUR));
-        assert_ne!(Schedule::of(Mix::Nasty, 7, HOUR), Schedule::of(Mix::Nasty, 8, HOUR));
-        assert!(Schedule::of(Mix::None, 7, HOUR).entries.is_empty());
-        let entries = Schedule::of(Mix::Nasty, 7, HOUR).entries;
+        let nasty = |seed| Schedule::of(Mix::Nasty, true, seed, HOUR);
+        assert_eq!(nasty(7), nasty(7));
+        assert_ne!(nasty(7), nasty(8));
+        assert!(Schedule::of(Mix::None, true, 7, HOUR).entries.is_empty());
+        let entries = nasty(7).entries;
         assert!(entries.is_sorted_by_key(|e| e.at) && entries.iter().all(|e| e.at < HOUR));
     }
 
     #[test]
     fn every_kind_has_its_share_over_many_nights() {
-        let mut count: BTreeMap<Kind, usize> = BTreeMap::new();
-        for seed in 0..200 {
-            for entry in Schedule::of(Mix::Nasty, seed, HOUR).entries {
-                *count.entry(entry.kind).or_default() += 1;
+        for light in [false, true] {
+            let mut count: BTreeMap<Kind, usize> = BTreeMap::new();
+            for seed in 0..200 {
+                for entry in Schedule::of(Mix::Nasty, light, seed, HOUR).entries {
+                    *count.entry(entry.kind).or_default() += 1;
+                }
             }
+            let kinds = Kind::all().len() + if light { Kind::of_the_light().len() } else { 0 };
+            assert_eq!(count.len(), kinds);
+            assert!(count.values().all(|n| n.abs_diff(200 * NASTY / kinds) <= 1), "{count:?}");
         }
-        assert_eq!(count.len(), Kind::all().len());
-        let even = 200 * NASTY / Kind::all().len();
-        assert!(count.values().all(|n| n.abs_diff(even) <= 1), "{count:?}");
+    }
+
+    #[test]
+    fn what_is_left_of_a_night_begins_where_it_was_cut() {
+        let whole = Schedule::of(Mix::Nasty, false, 7, HOUR);
+        let passed = whole.entries[9].at;
+        let rest = whole.rest(10, passed).entries;
+        assert_eq!(rest.len(), whole.entries.len() - 10);
+        assert!(rest.iter().zip(&whole.entries[10..]).all(|(r, w)| r.at == w.at - passed && r.kind == w.kind));
     }
 }

@@ -144,6 +144,11 @@ impl Newport1830cTwin {
         }
     }
 
+    /// True while a fault waits for its occasion.
+    pub fn faults_wait(&self) -> bool {
+        self.outbox.faults_wait() || self.restart_on_command || self.swallow
+    }
+
     fn restart(&mut self, now: Instant) {
         self.settings = Settings::default();
         self.status = 0;

@@ -40,6 +40,8 @@ pub(super) struct State {
     connection: u64,
     /// Counts touches from outside, after which the twin may have something to say.
     touches: u64,
+    /// Nothing passes, and whoever opens the port waits until then.
+    stuck_until: Option<Instant>,
 }
 
 /// Opens a [`PipePort`].
@@ -59,7 +61,7 @@ impl<T> Clone for PipePort<T> {
 impl<T: Firmware> PipePort<T> {
     /// A port called `name` (`sim:holder`).
     pub fn new(name: impl Into<String>, twin: T) -> PipePort<T> {
-        let state = watch::Sender::new(State { plugged: true, connection: 0, touches: 0 });
+        let state = watch::Sender::new(State { plugged: true, connection: 0, touches: 0, stuck_until: None });
         PipePort { inner: Arc::new(Inner { name: name.into(), twin: Mutex::new(twin), state }) }
     }
 
@@ -112,6 +114,14 @@ impl<T: Firmware> PipePort<T> {
             port.plug();
         });
     }
+
+    /// The port hangs for `time`, as a driver of the operating system may: nothing passes, opening it takes that long.
+    pub fn stick_for(&self, time: Duration) {
+        self.inner.state.send_modify(|s| {
+            s.stuck_until = Some(Instant::now() + time);
+            s.connection += 1;
+        });
+    }
 }
 
 // === impl Inner ===
@@ -131,6 +141,10 @@ impl<T: Firmware> Connector for PipeConnector<T> {
     }
 
     async fn connect(&mut self) -> Result<Link> {
+        let stuck_until = self.inner.state.borrow().stuck_until;
+        if let Some(until) = stuck_until {
+            self.clock.sleep_until(until).await;
+        }
         if !self.inner.state.borrow().plugged {
             let what = format!("port {} is not there; plug the adapter in", self.inner.name);
             return Err(DeviceError::new(ErrorKind::Lost, &self.inner.name, what));
@@ -173,10 +187,57 @@ async fn serve<T: Firmware>(
             () = clock.sleep_until(due) => {}
             changed = state.changed() => {
                 let s = *state.borrow_and_update();
+                if let Some(until) = s.stuck_until.filter(|_| s.connection == connection + 1) {
+                    // The host's end stays open and silent.
+                    clock.sleep_until(until).await;
+                }
                 if changed.is_err() || !s.plugged || s.connection != connection {
                     return;
                 }
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+    use goniod_drivers::clock::UtcMicros;
+
+    /// Says back what it hears.
+    struct Echo(Vec<u8>);
+
+    impl Firmware for Echo {
+        fn receive(&mut self, bytes: &[u8], _: Instant) {
+            self.0.extend_from_slice(bytes);
+        }
+        fn due(&self) -> Option<Instant> {
+            None
+        }
+        fn take(&mut self, _: Instant) -> Vec<u8> {
+            std::mem::take(&mut self.0)
+        }
+        fn connected(&mut self, _: Instant) {}
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_port_that_hangs_passes_nothing_and_opens_only_afterwards() {
+        let clock = Clock::starting_at(UtcMicros(0));
+        let port = PipePort::new("sim:echo", Echo(Vec::new()));
+        let mut connector = port.connector(clock);
+        let second = Duration::from_secs(1);
+        let mut link = connector.connect().await.unwrap();
+        link.send(b"one\n").await.unwrap();
+        assert!(link.line(clock.now() + second).await.unwrap().is_some());
+        let stuck = clock.now();
+        port.stick_for(10 * second);
+        tokio::task::yield_now().await;
+        link.send(b"two\n").await.unwrap();
+        assert_eq!(link.line(clock.now() + second).await.unwrap(), None);
+        let mut link = connector.connect().await.unwrap();
+        assert!(clock.now() >= stuck + 10 * second);
+        link.send(b"three\n").await.unwrap();
+        assert!(link.line(clock.now() + second).await.unwrap().is_some());
     }
 }

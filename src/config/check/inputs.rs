@@ -92,6 +92,11 @@ impl Inputs {
         self.files.insert(name, file);
     }
 
+    /// Keeps files that were read before.
+    pub(super) fn keep(&mut self, files: impl Iterator<Item = InputFile>) {
+        self.files.extend(files.map(|file| (file.name.clone(), file)));
+    }
+
     /// Reads and keeps a file named by `key`; a fault is told at the key.
     pub(super) fn read(&mut self, report: &mut Report<'_>, key: &str, role: &str, path: &Path) -> Option<String> {
         let outcome = read_bytes(path, "named", curves::LARGEST_FILE);
@@ -196,7 +201,7 @@ impl Inputs {
         issues: &mut Vec<Issue>,
     ) -> Option<PathBuf> {
         let mut report = Report { source: &scan.source, issues };
-        let key = "sample.simulated";
+        let key = super::SAMPLE;
         match (&scan.value.sample.simulated, &instrument.value.simulation) {
             (Some(path), Some(_)) => {
                 let path = dir.join(path);

@@ -14,11 +14,12 @@ mod tests;
 pub use inputs::{InputFile, Spectra};
 
 use super::calibration::CameraCalibration;
+use super::curves::LARGEST_FILE;
 use super::error::{ConfigError, Issue, Severity};
 use super::instrument::Instrument;
 use super::load::{Loaded, load};
 use super::scan::Scan;
-use super::source::Source;
+use super::source::{Source, read_bytes};
 use inputs::Inputs;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -56,6 +57,9 @@ pub struct Checked {
     /// What somebody should know, none of it an error.
     pub warnings: Vec<Issue>,
 }
+
+/// Role of the sample in the simulated bench.
+const SAMPLE: &str = "sample.simulated";
 
 /// Collects what is found in one file.
 struct Report<'a> {
@@ -100,6 +104,27 @@ pub fn check(scan_path: &Path, instrument_path: &Path, options: &Options) -> Res
         simulated_sample,
         warnings: issues,
     })
+}
+
+// === impl Checked ===
+
+impl Checked {
+    /// Lays another sample into the simulated bench: its file takes the place of the one that the scan names, in what a
+    /// run keeps too.
+    ///
+    /// # Errors
+    /// `NotFound` or `Unreadable`.
+    pub fn lay_sample(&mut self, path: &Path) -> Result<(), ConfigError> {
+        let bytes = read_bytes(path, "sample", LARGEST_FILE)?;
+        let mut inputs = Inputs::new(self.instrument_dir.clone());
+        inputs.keep(std::mem::take(&mut self.files).into_iter().filter(|file| file.role != SAMPLE));
+        inputs.add(SAMPLE, path, &bytes);
+        (_, self.files) = inputs.finish(Spectra::default());
+        // A path that is none of the instrument's folder is found again by its full name.
+        self.scan.sample.simulated = Some(std::path::absolute(path).unwrap_or_else(|_| path.to_owned()));
+        self.simulated_sample = Some(path.to_owned());
+        Ok(())
+    }
 }
 
 /// Reads an instrument file and checks its devices by themselves, for work that needs no scan. Names of drivers are left

@@ -152,7 +152,7 @@ impl Recorder {
     }
 
     /// Has the frames of a view forgotten and its steps planned again.
-    pub async fn retake(&self, view: u32, change: f64) {
+    pub async fn retake(&self, view: u32, change: Option<f64>) {
         self.put(Entry::Retake(self.clock.utc(), view, Event::ViewRetaken { view, change })).await;
     }
 

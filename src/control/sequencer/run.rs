@@ -213,6 +213,13 @@ impl Night<'_> {
     /// The steps `todo` of a bracket; where the lamp drifts too far meanwhile, the whole bracket again, a bounded number
     /// of times. `Some` when the run must end.
     async fn bracket(&mut self, view: &View, all: &[Step], mut todo: Vec<&Step>) -> Option<Ended> {
+        let limit = self.watch.drift_per_view();
+        let limit = limit.filter(|_| self.bench.devices.light_monitor.is_some() && view.subject != Subject::Dark);
+        if limit.is_some() && todo.len() < all.len() {
+            // Begun by another process: what the lamp did since then is not known.
+            self.stage.recorder().retake(view.id, None).await;
+            todo = all.iter().collect();
+        }
         for retakes in 0.. {
             if let Some(ended) = self.between().await {
                 return Some(ended);
@@ -223,10 +230,12 @@ impl Night<'_> {
                     return Some(ended);
                 }
             }
-            let Some((limit, before)) = self.watch.drift_per_view().zip(before) else { break };
+            let Some(limit) = limit else { break };
             let after = self.watch.level(self.bench, self.stage, Some(view.id)).await;
-            let change = after.map_or(0.0, |after| after / before - 1.0);
-            if change.abs() <= limit || retakes == MOST_RETAKES || view.subject == Subject::Dark {
+            // A level that cannot be had proves nothing.
+            let change = before.filter(|w| *w > 0.0).zip(after).map(|(before, after)| after / before - 1.0);
+            let steady = change.is_some_and(|change| change.abs() <= limit);
+            if steady || retakes == MOST_RETAKES {
                 break;
             }
             self.memory.forget_bracket();

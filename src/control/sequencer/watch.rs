@@ -138,8 +138,9 @@ impl Watch {
         for _ in 0..LIGHT_READINGS {
             let reading = flat(clock.timeout(GAUGE_LIMIT, monitor.read()).await);
             reading.iter().for_each(|reading| self.light.read(reading, clock.now()));
-            match reading.filter(|r| !r.saturated && r.power_w.is_finite() && r.power_w > 0.0) {
-                Some(reading) => powers.push(reading.power_w),
+            match reading.filter(|r| !r.saturated && r.power_w.is_finite()) {
+                // A lamp that is out is a level like any other; the offset of the meter may lie below zero.
+                Some(reading) => powers.push(reading.power_w.max(0.0)),
                 None => {
                     self.open = false;
                     self.note(Gauge::Light, None, clock.now());
@@ -154,9 +155,13 @@ impl Watch {
         let squares: f64 = powers.iter().map(|p| (p - power_w).powi(2)).sum();
         let u_w = (squares / (n - 1.0) / n).sqrt();
         stage.recorder().event(Event::LightRead { view, power_w, u_w }).await;
-        if self.light.settled(clock.now()) || self.reference.is_some() {
-            let reference = *self.reference.get_or_insert(power_w);
-            self.note(Gauge::Light, Some(power_w / reference - 1.0), clock.now());
+        if self.reference.is_some() || self.light.settled(clock.now()) {
+            if power_w > 0.0 {
+                self.reference.get_or_insert(power_w);
+            }
+            // Without light from the start there is nothing to compare with.
+            let change = self.reference.map(|reference| power_w / reference - 1.0);
+            self.note(Gauge::Light, change, clock.now());
         }
         Some(power_w)
     }

@@ -9,7 +9,7 @@ use goniod_drivers::clock::Clock;
 use goniod_drivers::contract::Camera;
 use goniod_drivers::transport::{Connector, UsbConnector};
 use goniod_sim::camera::FaultQueue;
-use goniod_sim::faults::{Counts, Mix, Targets, carry_out};
+use goniod_sim::faults::{Around, Counts, Mix, Targets, Wish, carry_out};
 use goniod_sim::firmware::usb::oceanoptics::{OceanModel, OceanSpec, OceanTwin};
 use goniod_sim::front::UsbBus;
 use goniod_sim::truth::error::SimError;
@@ -32,6 +32,8 @@ pub struct Faults {
     pub cameras: BTreeMap<String, FaultQueue>,
     /// What is to go wrong during the run.
     pub mix: FaultMix,
+    /// The bench has a light monitor, so that faults of the lamp are told.
+    pub light_monitor: bool,
 }
 
 // === impl Faults ===
@@ -46,20 +48,36 @@ impl Faults {
             FaultMix::Nasty => Mix::Nasty,
         };
         let span = Duration::try_from_secs_f64(span_s).unwrap_or_default();
-        let counts = self.carry_out(Schedule::of(mix, seed, span), verbs, clock);
+        let schedule = Schedule::of(mix, self.light_monitor, seed, span);
+        // Disk and process of a rehearsal are real; what happens to those is for tests.
+        let around = move |what| matches!(what, Around::Ask(wish) if verbs.try_send(verb(wish)).is_ok());
+        let counts = self.carry_out(schedule, Arc::new(around), clock);
         Some(Box::new(move || counts.fired().into_iter().map(|(kind, n)| (kind.to_string(), n)).collect()))
     }
 
-    /// Lets the faults of a schedule happen from now on.
-    pub fn carry_out(&self, schedule: Schedule, verbs: mpsc::Sender<Verb>, clock: Clock) -> Counts {
+    /// Lets the faults of a schedule happen from now on; what is around the bench is done by `around`.
+    pub fn carry_out(
+        &self,
+        schedule: Schedule,
+        around: Arc<dyn Fn(Around) -> bool + Send + Sync>,
+        clock: Clock,
+    ) -> Counts {
         let counts = Counts::default();
-        let pause = move |on| {
-            // A full queue means that the operator is asking for other things already.
-            let _ = verbs.try_send(if on { Verb::Pause } else { Verb::Resume });
-        };
-        let targets = Targets { twins: self.twins.clone(), cameras: self.cameras.clone(), pause: Arc::new(pause) };
+        let targets = Targets { twins: self.twins.clone(), cameras: self.cameras.clone(), around };
         tokio::spawn(carry_out(schedule, targets, clock, counts.clone()));
         counts
+    }
+}
+
+/// What an operator wishes, as the verb for the run.
+pub fn verb(wish: Wish) -> Verb {
+    match wish {
+        Wish::Pause => Verb::Pause,
+        Wish::PauseNow => Verb::PauseNow,
+        Wish::Resume => Verb::Resume,
+        Wish::Stop => Verb::Stop,
+        Wish::Abort => Verb::Abort,
+        Wish::Safe => Verb::Safe,
     }
 }
 
@@ -87,7 +105,8 @@ fn open(checked: &Checked, rehearsal: &Rehearsal, clock: Clock, own_cameras: boo
     let seed = rehearsal.seed.unwrap_or(simulation.seed);
     let (twins, bench) = parts(instrument, description, sample, seed, clock)?;
     let mut cameras: BTreeMap<String, Box<dyn Camera>> = BTreeMap::new();
-    let mut faults = Faults { twins: twins.clone(), cameras: BTreeMap::new(), mix: rehearsal.faults };
+    let light_monitor = instrument.light_monitor.is_some();
+    let mut faults = Faults { twins: twins.clone(), cameras: BTreeMap::new(), mix: rehearsal.faults, light_monitor };
     for (name, camera) in &instrument.camera {
         if own_cameras && !camera.driver.starts_with("sim-") {
             cameras.insert(name.clone(), hardware::camera(name, camera, clock)?);

@@ -1,6 +1,6 @@
 //! `goniod rehearse SCAN`: the same run on the simulated bench in virtual time.
 
-use super::input::{ScanArgs, moment};
+use super::input::{ScanArgs, bad_input, moment};
 use super::output::{Outcome, Output};
 use super::run::{finish, measure, no_runtime};
 use crate::front::bench::{FaultMix, Rehearsal, open_simulated};
@@ -34,11 +34,14 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: Args, output: &Output) -> Outcome {
-    let checked = args.scan.check(output)?;
+    let mut checked = args.scan.check(output)?;
+    if let Some(sample) = &args.sample {
+        checked.lay_sample(sample).map_err(bad_input)?;
+    }
     let start = moment(&args.start)?;
     let runtime =
         tokio::runtime::Builder::new_current_thread().enable_all().start_paused(true).build().map_err(no_runtime)?;
-    let rehearsal = Rehearsal { seed: args.seed, sample: args.sample, faults: args.faults };
+    let rehearsal = Rehearsal { seed: args.seed, sample: None, faults: args.faults };
     let open = |clock| open_simulated(&checked, &rehearsal, clock);
     let work = measure(&checked, &args.runs, || Clock::starting_at(start), open, (None, output));
     let (ran, exit) = runtime.block_on(work)?;

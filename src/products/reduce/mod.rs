@@ -14,6 +14,7 @@ mod readings;
 mod views;
 
 pub use inputs::{InstrumentSpectra, Run, Standards};
+pub use optics::radiometer;
 pub use readings::Setup;
 
 use super::error::Result;
