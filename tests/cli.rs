@@ -8,9 +8,10 @@ mod common;
 use common::{Lab, root, text};
 use std::fs;
 
-const COMMANDS: [&str; 18] = [
+const COMMANDS: [&str; 19] = [
     "check", "plan", "run", "rehearse", "resume", "reduce", "export", "report", "verify", "status", "serve", "queue",
     "watch", "pause", "stop", "abort", "safe", "device",
+    "simulate",
 ];
 
 const SCAN: &str = r#"

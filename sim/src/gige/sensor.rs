@@ -194,7 +194,10 @@ impl SensorThread {
         let faults = self.shared.faults().clone();
         let mut fault = exposure.half_with_us.map(|_| FrameFault::HalfChanged);
         let mut shown = picture.clone();
-        if self.frame_draws.happens(faults.stale_per_1000)
+        let ordered = self.shared.faults().next.pop_front();
+        if ordered.is_some() {
+            (shown, fault) = (self.ordered(ordered, &picture), ordered);
+        } else if self.frame_draws.happens(faults.stale_per_1000)
             && let Some(before) = self.before.clone()
         {
             (shown, fault) = (before, Some(FrameFault::Stale));
@@ -207,8 +210,11 @@ impl SensorThread {
             fault = Some(FrameFault::Short);
         }
         self.before = Some(picture);
-        if fault != Some(FrameFault::Short) {
+        if !matches!(fault, Some(FrameFault::Short | FrameFault::NoFrame)) {
             self.sent = Some(shown.clone());
+        }
+        if fault == Some(FrameFault::SkippedId) {
+            self.block_id = self.block_id.checked_add(1).unwrap_or(1);
         }
         let block = self.block(&exposure, &shown, fault == Some(FrameFault::Short));
         self.sequence += 1;
@@ -220,13 +226,39 @@ impl SensorThread {
             commanded_us: exposure.commanded_us,
             fault,
         });
-        self.shared.keep(block.clone());
-        if !faults.mute {
+        if let Some(FrameFault::Late(by)) = fault {
+            self.linger(by);
+        }
+        if fault != Some(FrameFault::NoFrame) {
+            self.shared.keep(block.clone());
+        }
+        if !faults.mute && fault != Some(FrameFault::NoFrame) {
             self.send(&block, &faults);
         }
         if self.shared.registers().get(a::ACQUISITION_MODE) == 1 {
             self.running = false;
             self.shared.registers().acquiring = false;
+        }
+    }
+
+    /// The picture that is sent where a fault was ordered for this frame.
+    fn ordered(&self, fault: Option<FrameFault>, picture: &Picture) -> Picture {
+        let shown = match fault {
+            Some(FrameFault::Stale) => self.before.clone(),
+            Some(FrameFault::Repeated) => self.sent.clone().map(|sent| Picture { stamp: picture.stamp, ..sent }),
+            Some(FrameFault::Black) => {
+                Some(Picture { image: Arc::new(vec![0; picture.image.len()]), ..picture.clone() })
+            }
+            _ => None,
+        };
+        shown.unwrap_or_else(|| picture.clone())
+    }
+
+    /// Waits, or until the camera is switched off.
+    fn linger(&self, time: Duration) {
+        let until = Instant::now() + time;
+        while Instant::now() < until && self.shared.alive() {
+            pause(Duration::from_millis(5).min(until.saturating_duration_since(Instant::now())));
         }
     }
 
