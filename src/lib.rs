@@ -21,6 +21,8 @@ pub mod archive;
 pub mod config;
 pub mod control;
 pub mod digest;
-pub mod engine;
 pub mod front;
 pub mod products;
+
+/// The radiance and BSDF engine, a crate of its own in `src/engine/`.
+pub use goniod_engine as engine;

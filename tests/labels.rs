@@ -9,17 +9,14 @@ mod common;
 mod gige;
 
 use common::Lab;
-use goniod::archive::RunDir;
-use goniod::archive::rows::StepState;
 use goniod::archive::verify::verify;
 use goniod::config::check::{Options, check};
 use goniod::control::events::{Event, EventBus};
-use goniod::control::plan::document::RunDocument;
 use goniod::control::plan::{Step, Subject, View};
 use goniod::front::bench::{Faults, Rehearsal, open_simulated};
 use goniod::front::night;
+use goniod::front::oracle::{Files, Verdict, differences};
 use goniod_drivers::clock::{Clock, UtcMicros};
-use goniod_drivers::frame::Pixels;
 use goniod_drivers::units::ExposureTime;
 use goniod_sim::camera::CameraFault;
 use goniod_sim::firmware::fw212c::WheelFault;
@@ -28,12 +25,9 @@ use goniod_sim::firmware::sc10::ShutterFault;
 use goniod_sim::oracle::read_pixels;
 use goniod_sim::twins::Fault;
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 use tokio::sync::mpsc;
-
-/// Largest difference between commanded and true axis angle, millionths of a degree: two microsteps.
-const ANGLE_UDEG: f64 = 500.0;
 
 /// A diffuse sample with both cameras, all kinds of geometry, darks and references in between.
 const SCAN: &str = r#"
@@ -58,141 +52,30 @@ frames = 1
 every_directions = 4
 "#;
 
-/// What the oracle says of a run.
-#[derive(Debug, Default)]
-struct Verdict {
-    stored: usize,
-    missing: usize,
-    wrong: Vec<String>,
-    /// Frames without light that came for others of their kind: the same picture at every exposure, nothing is wrong.
-    alike: usize,
+/// Mean level below the reserved rows.
+fn mean_level(files: &Files, step: &Step, view: &View) -> f64 {
+    let pixels = files.pixels(step, view).unwrap();
+    let first = files.reserved_pixels(view);
+    let sum: u64 = (first..pixels.len()).map(|i| u64::from(pixels.level(i))).sum();
+    sum as f64 / (pixels.len() - first) as f64
 }
 
-/// Frames and steps of a run, from its files alone.
-struct Files {
-    dir: RunDir,
-    document: RunDocument,
-}
-
-// === impl Files ===
-
-impl Files {
-    fn open(run: &Path) -> Files {
-        let dir = RunDir::open(run).unwrap();
-        let document = toml::from_str(&dir.plan_toml().unwrap()).unwrap();
-        Files { dir, document }
-    }
-
-    fn steps(&self) -> impl Iterator<Item = (&Step, &View)> {
-        let plan = &self.document.plan;
-        plan.steps.iter().map(|step| (step, &plan.views[step.view as usize]))
-    }
-
-    fn pixels(&self, step: &Step, view: &View) -> Option<Pixels> {
-        self.dir.frames().read_frame(&view.camera, view.array_index, step.exposure_index).unwrap()
-    }
-
-    /// Judges every stored frame.
-    fn judge(&self) -> Verdict {
-        let mut verdict = Verdict::default();
-        let rows = self.dir.with(|j| j.steps()).unwrap();
-        let ids: BTreeMap<u32, u64> =
-            self.dir.with(|j| j.frames()).unwrap().iter().map(|f| (f.step, f.device_frame_id)).collect();
-        for ((step, view), row) in self.steps().zip(&rows) {
-            assert_eq!(row.layout.number, step.number);
-            match row.state {
-                StepState::Stored => verdict.stored += 1,
-                _ => {
-                    verdict.missing += 1;
-                    continue;
-                }
-            }
-            let Some(pixels) = self.pixels(step, view) else {
-                verdict.wrong.push(format!("step {}: the journal has it, the store has not", step.number));
-                continue;
-            };
-            let camera = &self.document.instrument.camera[&view.camera];
-            let mut found =
-                differences(&pixels, camera.width_px, camera.format.levels(), (step, view), ids[&step.number]);
-            if !found.is_empty() && same_pose(&found) && without_light(&pixels, self.reserved_pixels(view)) {
-                verdict.alike += 1;
-                found.clear();
-            }
-            verdict.wrong.extend(found.into_iter().map(|what| format!("step {}: {what}", step.number)));
-        }
-        verdict
-    }
-
-    fn reserved_pixels(&self, view: &View) -> usize {
-        let width = self.document.instrument.camera[&view.camera].width_px;
-        self.document.calibrations[&view.camera].geometry.reserved_rows * width
-    }
-
-    /// Mean level below the reserved rows.
-    fn mean_level(&self, step: &Step, view: &View) -> Option<f64> {
-        let pixels = self.pixels(step, view)?;
-        let first = self.reserved_pixels(view);
-        let sum: u64 = (first..pixels.len()).map(|i| u64::from(pixels.level(i))).sum();
-        Some(sum as f64 / (pixels.len() - first) as f64)
-    }
-
-    /// Reasons of all rejections in the journal, with their steps.
-    fn rejections(&self) -> Vec<(u32, String)> {
-        let events = self.dir.with(|j| j.events()).unwrap();
-        let parsed = events.iter().filter_map(|e| serde_json::from_str::<Event>(&e.json).ok());
-        parsed
-            .filter_map(|e| match e {
-                Event::FrameRejected { step, reason } => Some((step, format!("{reason:?}"))),
-                _ => None,
-            })
-            .collect()
-    }
-}
-
-/// Only exposure or counter differ.
-fn same_pose(found: &[String]) -> bool {
-    found.iter().all(|what| what.starts_with("exposure") || what.starts_with("frame counter"))
-}
-
-/// Every pixel of the picture is at zero.
-fn without_light(pixels: &Pixels, first: usize) -> bool {
-    (first..pixels.len()).all(|i| pixels.level(i) == 0)
-}
-
-/// How the painting differs from the label.
-fn differences(pixels: &Pixels, width: usize, levels: u32, (step, view): (&Step, &View), id: u64) -> Vec<String> {
-    let truth = match read_pixels(pixels, width, levels) {
-        Ok(truth) => truth,
-        Err(e) => return vec![e.to_string()],
-    };
-    let mut found = Vec::new();
-    let mut angle = |what: &str, true_udeg: i32, label_deg: f64| {
-        if (f64::from(true_udeg) - label_deg * 1e6).abs() > ANGLE_UDEG {
-            found.push(format!("{what} {} instead of {label_deg}", f64::from(true_udeg) / 1e6));
-        }
-    };
-    angle("tilt", truth.tilt_udeg, view.tilt_deg);
-    angle("spin", truth.spin_udeg, view.spin_deg);
-    if let Some(changer_deg) = view.changer_deg {
-        angle("changer", truth.changer_udeg, changer_deg);
-    }
-    let mut same = |what: &str, fits: bool| {
-        if !fits {
-            found.push(format!("{what}: {truth:?} under the label {view:?}, {:?}", step.exposure));
-        }
-    };
-    same("slot", truth.slot == Some(view.slot.0));
-    same("shutter", truth.shutter_open == (view.subject != Subject::Dark));
-    same("moved", !truth.moved);
-    same("exposure", truth.exposure == step.exposure);
-    same("frame counter", truth.frame == id as u32);
-    found
+/// Reasons of all rejections in the journal, with their steps.
+fn rejections(files: &Files) -> Vec<(u32, String)> {
+    let events = files.dir.with(|j| j.events()).unwrap();
+    let parsed = events.iter().filter_map(|e| serde_json::from_str::<Event>(&e.json).ok());
+    parsed
+        .filter_map(|e| match e {
+            Event::FrameRejected { step, reason } => Some((step, format!("{reason:?}"))),
+            _ => None,
+        })
+        .collect()
 }
 
 /// Rehearses through the command line and judges the files.
 fn rehearsed(lab: &Lab) -> Files {
     let scan = lab.scan("labels.toml", SCAN);
-    Files::open(&lab.rehearse(&scan, "runs", &["--no-products"]))
+    Files::open(&lab.rehearse(&scan, "runs", &["--no-products"])).unwrap()
 }
 
 /// Runs the night as `goniod rehearse` does, with faults put into the bench before it begins.
@@ -214,14 +97,14 @@ async fn night_with(lab: &Lab, scan: &str, faults: impl FnOnce(&Faults)) -> (Pat
 }
 
 fn nothing_wrong(verdict: &Verdict) {
-    assert!(verdict.wrong.is_empty(), "{} wrong labels:\n{}", verdict.wrong.len(), verdict.wrong.join("\n"));
+    assert!(verdict.is_clean(), "{}", verdict.lines().join("\n"));
 }
 
 #[test]
 fn a_good_night_has_no_wrong_label() {
     let lab = Lab::small();
     let files = rehearsed(&lab);
-    let verdict = files.judge();
+    let verdict = files.judge().unwrap();
     nothing_wrong(&verdict);
     assert_eq!((verdict.stored, verdict.missing), (files.document.plan.steps.len(), 0));
     eprintln!("{} frames, 0 wrong labels", verdict.stored);
@@ -233,7 +116,7 @@ fn free_running_cameras_that_are_late_have_no_wrong_label() {
     let lab = Lab::small();
     lab.free_running(3);
     let files = rehearsed(&lab);
-    let verdict = files.judge();
+    let verdict = files.judge().unwrap();
     nothing_wrong(&verdict);
     assert_eq!(verdict.missing, 0);
     eprintln!("{} frames, 0 wrong labels", verdict.stored);
@@ -248,7 +131,7 @@ fn the_oracle_finds_every_kind_of_wrong_label() {
     let pixels = files.pixels(step, view).unwrap();
     let truth = read_pixels(&pixels, 352, 256).unwrap();
     let id = u64::from(truth.frame);
-    let count = |step: &Step, view: &View, id: u64| differences(&pixels, 352, 256, (step, view), id).len();
+    let count = |step: &Step, view: &View, id: u64| differences(&truth, (step, view), id).len();
     assert_eq!(count(step, view, id), 0);
     let changed: [fn(&mut View); 5] = [
         |v| v.tilt_deg += 0.01,
@@ -273,7 +156,7 @@ fn mean_levels_rise_with_exposure() {
     let files = rehearsed(&lab);
     let mut brackets: BTreeMap<(u32, String), Vec<(ExposureTime, f64)>> = BTreeMap::new();
     for (step, view) in files.steps().filter(|(_, v)| v.subject != Subject::Dark) {
-        let mean = files.mean_level(step, view).unwrap();
+        let mean = mean_level(&files, step, view);
         brackets.entry((view.id, view.camera.clone())).or_default().push((step.exposure, mean));
     }
     let (mut pairs, mut lit) = (0, 0);
@@ -318,10 +201,10 @@ async fn lying_cameras_leave_no_wrong_label() {
         }
     })
     .await;
-    let files = Files::open(&run);
-    let verdict = files.judge();
+    let files = Files::open(&run).unwrap();
+    let verdict = files.judge().unwrap();
     nothing_wrong(&verdict);
-    let rejections = files.rejections();
+    let rejections = rejections(&files);
     assert_eq!(rejections.len(), rejected as usize, "the journal tells each rejected frame");
     for reason in ["Repeated", "Black", "Damaged"] {
         assert!(rejections.iter().any(|(_, why)| why.starts_with(reason)), "no frame was rejected as {reason}");
@@ -368,12 +251,12 @@ frames = 1
                 }
             })
             .await;
-            let files = Files::open(&run);
-            let verdict = files.judge();
+            let files = Files::open(&run).unwrap();
+            let verdict = files.judge().unwrap();
             nothing_wrong(&verdict);
-            assert_eq!(verdict.missing, 0, "each was taken again: {:?}", files.rejections());
+            assert_eq!(verdict.missing, 0, "each was taken again: {:?}", rejections(&files));
             // At most two of the four faults meet the exposure that they pretend.
-            assert!(rejected >= 2, "{rejected} rejected: {:?}", files.rejections());
+            assert!(rejected >= 2, "{rejected} rejected: {:?}", rejections(&files));
             assert!(verify(&run).unwrap().whole());
         }
     }
@@ -400,8 +283,8 @@ async fn moving_parts_that_fail_leave_no_wrong_label() {
         });
     })
     .await;
-    let files = Files::open(&run);
-    let verdict = files.judge();
+    let files = Files::open(&run).unwrap();
+    let verdict = files.judge().unwrap();
     nothing_wrong(&verdict);
     assert_eq!(verdict.missing, 0);
     let events = files.dir.with(|j| j.events()).unwrap();

@@ -24,6 +24,14 @@ if [ $# = 0 ] && [ "${GONIOD_HIL:-}" != skip ]; then
     hil=${PIPESTATUS[0]}
 fi
 
-awk '/^test result:/ { p += $4; f += $6; s += $8 } /^[0-9]+ passed, [0-9]+ failed, [0-9]+ skipped$/ { p += $1; f += $3; s += $5 }
-    END { printf "%d passed, %d failed, %d skipped\n", p, f, s }' "$log" "$hil_log"
+# What went wrong once more, where a reader of the last lines finds it.
+{
+    [ $lints = 0 ] || echo "run.sh: formatting, lints or a combination of features failed, see the beginning"
+    [ "$tests" = 0 ] || grep -hE "^error|^  process didn't exit|^test .* FAILED$|^    .*(--test|--lib|--bin|--doc)|panicked at" "$log" | tail -n 60
+    [ "$hil" = 0 ] || echo "run.sh: the virtual bench failed"
+}
+# A test program that ended without a result, and lints, count as a failure each.
+awk -v lints="$lints" '/^ +(Running|Doc-tests) / { begun++ } /^test result:/ { ended++; p += $4; f += $6; s += $8 }
+    /^[0-9]+ passed, [0-9]+ failed, [0-9]+ skipped$/ { p += $1; f += $3; s += $5 }
+    END { printf "%d passed, %d failed, %d skipped\n", p, f + begun - ended + (lints != 0), s }' "$log" "$hil_log"
 [ "$tests" = 0 ] && [ "$lints" = 0 ] && [ "$hil" = 0 ]

@@ -340,6 +340,50 @@ pub struct SafeState {
     pub limit_s: f64,
 }
 
+/// The wire of one device or chain, as the instrument file names it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Link<'a> {
+    /// Its table in the file: `holder`, `light_monitor`, `camera.ccd`, ….
+    pub key: String,
+    /// Driver name.
+    pub driver: &'a str,
+    /// Path or address, or `sim:…`.
+    pub port: &'a str,
+}
+
+// === impl Instrument ===
+
+impl Instrument {
+    /// Every wire of the instrument, in the order a run opens them: what is closed first comes first.
+    pub fn links(&self) -> Vec<Link<'_>> {
+        let link = |key: &str, driver, port| Link { key: key.to_owned(), driver, port };
+        let mut all = vec![
+            link("shutter", &*self.shutter.driver, &*self.shutter.port),
+            link("filter_wheel", &self.filter_wheel.driver, &self.filter_wheel.port),
+            link("holder", &self.holder.driver, &self.holder.port),
+        ];
+        all.extend(self.light_monitor.iter().map(|d| link("light_monitor", &d.driver, &d.port)));
+        all.extend(self.monochromator.iter().map(|d| link("monochromator", &d.driver, &d.port)));
+        all.extend(self.spectrometer.iter().map(|d| link("spectrometer", &d.driver, &d.port)));
+        all.extend(self.camera.iter().map(|(name, d)| link(&format!("camera.{name}"), &d.driver, &d.port)));
+        all
+    }
+}
+
+// === impl Link ===
+
+impl Link<'_> {
+    /// The camera's name, where it is one's wire.
+    pub fn camera(&self) -> Option<&str> {
+        self.key.strip_prefix("camera.")
+    }
+
+    /// True when a twin of the simulated bench answers there.
+    pub fn is_simulated(&self) -> bool {
+        self.port.starts_with("sim:")
+    }
+}
+
 // === impl Camera ===
 
 impl Camera {

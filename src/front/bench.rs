@@ -14,7 +14,7 @@ pub use hardware::open_hardware;
 pub use simulated::{Faults, PaintedTruth, Schedule, open_simulated, open_with_own_cameras, read_pixels};
 
 use crate::config::check::Checked;
-use crate::config::instrument::{Axis, Instrument};
+use crate::config::instrument::{Axis, Instrument, Link};
 use crate::control::devices::bench::{Bench, Devices, Settle};
 use crate::control::sequencer::verbs::Verb;
 use goniod_drivers::clock::Clock;
@@ -131,10 +131,14 @@ pub type Fired = Box<dyn Fn() -> BTreeMap<String, u32> + Send>;
 
 impl Opened {
     /// Begins what is to go wrong during a run forecast to last `span_s` seconds; `None` where nothing is.
+    #[cfg(feature = "sim")]
     pub fn begin_faults(&self, span_s: f64, verbs: mpsc::Sender<Verb>, clock: Clock) -> Option<Fired> {
-        #[cfg(feature = "sim")]
-        return self.faults.as_ref()?.begin(self.seed.unwrap_or_default(), span_s, verbs, clock);
-        #[cfg(not(feature = "sim"))]
+        self.faults.as_ref()?.begin(self.seed.unwrap_or_default(), span_s, verbs, clock)
+    }
+
+    /// Nothing goes wrong by plan without a simulated bench.
+    #[cfg(not(feature = "sim"))]
+    pub fn begin_faults(&self, _: f64, _: mpsc::Sender<Verb>, _: Clock) -> Option<Fired> {
         None
     }
 }
@@ -144,23 +148,12 @@ impl Opened {
 /// # Errors
 /// [`BenchError::Mixed`].
 pub fn is_simulated(instrument: &Instrument) -> Result<bool, BenchError> {
-    let ports = ports(instrument);
-    let (simulated, real): (Vec<_>, Vec<_>) = ports.into_iter().partition(|(_, port)| port.starts_with("sim:"));
+    let wires = instrument.links().into_iter().filter(|link| link.camera().is_none());
+    let (simulated, real): (Vec<_>, Vec<_>) = wires.partition(Link::is_simulated);
     match (simulated.first(), real.first()) {
-        (Some((s, _)), Some((r, _))) => Err(BenchError::Mixed { simulated: s.clone(), real: r.clone() }),
+        (Some(s), Some(r)) => Err(BenchError::Mixed { simulated: s.key.clone(), real: r.key.clone() }),
         (s, _) => Ok(s.is_some()),
     }
-}
-
-fn ports(instrument: &Instrument) -> Vec<(String, String)> {
-    let mut ports = vec![
-        ("holder".to_owned(), instrument.holder.port.clone()),
-        ("filter_wheel".to_owned(), instrument.filter_wheel.port.clone()),
-        ("shutter".to_owned(), instrument.shutter.port.clone()),
-    ];
-    ports.extend(instrument.light_monitor.iter().map(|d| ("light_monitor".to_owned(), d.port.clone())));
-    ports.extend(instrument.monochromator.iter().map(|d| ("monochromator".to_owned(), d.port.clone())));
-    ports
 }
 
 /// Opens the bench as the instrument file says it: hardware, or the simulated bench with the cameras that are named.

@@ -3,7 +3,7 @@
 use super::{Options, Report, cameras, light};
 use crate::config::error::Issue;
 use crate::config::hint;
-use crate::config::instrument::{Axis, FilterSlot, Instrument};
+use crate::config::instrument::{Axis, FilterSlot, Instrument, Link};
 use crate::config::load::Loaded;
 use goniod_drivers::table::feature_of;
 use std::collections::BTreeMap;
@@ -32,22 +32,8 @@ pub(super) fn check(instrument: &Loaded<Instrument>, options: &Options, issues: 
     super::night::check(i, &mut report);
 }
 
-/// Key, driver name and port of each device.
-fn links(i: &Instrument) -> Vec<(String, &str, &str)> {
-    let mut all = vec![
-        ("holder".to_owned(), i.holder.driver.as_str(), i.holder.port.as_str()),
-        ("filter_wheel".to_owned(), &i.filter_wheel.driver, &i.filter_wheel.port),
-        ("shutter".to_owned(), &i.shutter.driver, &i.shutter.port),
-    ];
-    all.extend(i.light_monitor.iter().map(|d| ("light_monitor".to_owned(), d.driver.as_str(), d.port.as_str())));
-    all.extend(i.monochromator.iter().map(|d| ("monochromator".to_owned(), d.driver.as_str(), d.port.as_str())));
-    all.extend(i.spectrometer.iter().map(|d| ("spectrometer".to_owned(), d.driver.as_str(), d.port.as_str())));
-    all.extend(i.camera.iter().map(|(n, c)| (format!("camera.{n}"), c.driver.as_str(), c.port.as_str())));
-    all
-}
-
 fn drivers(i: &Instrument, options: &Options, report: &mut Report<'_>) {
-    for (device, driver, _) in links(i) {
+    for Link { key: device, driver, .. } in i.links() {
         if options.drivers.is_empty() || options.drivers.iter().any(|d| d == driver) {
             continue;
         }
@@ -68,20 +54,20 @@ fn drivers(i: &Instrument, options: &Options, report: &mut Report<'_>) {
 }
 
 fn ports(i: &Instrument, report: &mut Report<'_>) {
-    let simulated = |port: &str| port.starts_with("sim:");
-    let (cameras, moving): (Vec<_>, Vec<_>) = links(i).into_iter().partition(|(d, ..)| d.starts_with("camera."));
-    let bench = moving.iter().find(|(_, _, port)| simulated(port));
-    let real = moving.iter().find(|(_, _, port)| !simulated(port));
-    if let (Some((first, ..)), Some((device, _, port))) = (bench, real) {
+    let (cameras, moving): (Vec<_>, Vec<_>) = i.links().into_iter().partition(|link| link.camera().is_some());
+    let bench = moving.iter().find(|link| link.is_simulated());
+    let real = moving.iter().find(|link| !link.is_simulated());
+    if let (Some(first), Some(Link { key: device, port, .. })) = (bench, real) {
         let key = format!("{device}.port");
         let message = format!(
-            "`{key}` is \"{port}\", but the port of {first} starts with `sim:`; what moves is all hardware or all simulated: make every port of holder, filter wheel and shutter `sim:…` or none"
+            "`{key}` is \"{port}\", but the port of {} starts with `sim:`; what moves is all hardware or all simulated: make every port of holder, filter wheel and shutter `sim:…` or none",
+            first.key
         );
         report.error(&key, message);
     }
-    for (device, driver, port) in &cameras {
-        let key = format!("{device}.port");
-        match (driver.starts_with("sim-"), simulated(port)) {
+    for camera in &cameras {
+        let (key, driver, port) = (format!("{}.port", camera.key), camera.driver, camera.port);
+        match (driver.starts_with("sim-"), camera.is_simulated()) {
             (false, true) => report.error(
                 &key,
                 format!("`{key}` is \"{port}\", but driver \"{driver}\" drives real cameras; write its address or device path, or name a simulated camera's driver"),
@@ -94,16 +80,16 @@ fn ports(i: &Instrument, report: &mut Report<'_>) {
         }
     }
     let mut seen: BTreeMap<&str, String> = BTreeMap::new();
-    for (device, _, port) in links(i) {
-        let key = format!("{device}.port");
+    for link in i.links() {
+        let (key, port) = (format!("{}.port", link.key), link.port);
         report.text(&key, port);
-        if port.starts_with("sim:") && i.simulation.is_none() {
+        if link.is_simulated() && i.simulation.is_none() {
             report.error(
                 &key,
                 format!("`{key}` is \"{port}\", but there is no table [simulation]; add it, or name a real port"),
             );
         }
-        if let Some(other) = seen.insert(port, device.clone()) {
+        if let Some(other) = seen.insert(port, link.key.clone()) {
             report.error(&key, format!("`{key}` is \"{port}\", which {other} uses already; each link has one device"));
         }
     }

@@ -3,9 +3,9 @@
 
 use super::matrix::{Matrix, Origin};
 use super::set::{BsdfSet, Column};
-use crate::engine::optics::basis::AngleBasis;
-use crate::engine::optics::direction::Direction;
-use crate::engine::optics::side::Side;
+use crate::optics::basis::AngleBasis;
+use crate::optics::direction::Direction;
+use crate::optics::side::Side;
 
 /// A measured direction this near to a patch's centre counts as that patch.
 const HIT_DEG: f64 = 1.0;
@@ -121,7 +121,7 @@ pub fn rotate(basis: &AngleBasis, column: &[(f64, f64)], degrees: f64) -> Vec<(f
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::bsdf::set::{PatchValue, Quantity};
+    use crate::bsdf::set::{PatchValue, Quantity};
 
     /// An isotropic scatterer: value depends on both polar angles and the azimuth between them.
     fn brdf(theta_i: f64, phi_i: f64, out: Direction) -> f64 {

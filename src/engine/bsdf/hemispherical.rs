@@ -2,8 +2,8 @@
 //! hidden.
 
 use super::budget::PatchBsdf;
-use crate::engine::error::EngineError;
-use crate::engine::optics::basis::AngleBasis;
+use crate::error::EngineError;
+use crate::optics::basis::AngleBasis;
 
 /// Share of the projected solid angle that may lack before a value is flagged.
 const COMPLETE: f64 = 0.999;
@@ -101,7 +101,7 @@ fn nearest(rings: &[Option<f64>], ring: usize) -> f64 {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
-    use crate::engine::bsdf::budget::Budget;
+    use crate::bsdf::budget::Budget;
     use std::f64::consts::PI;
 
     fn lambertian(t: f64) -> Vec<PatchBsdf> {

@@ -1,7 +1,7 @@
 //! What no reader of the files polices: physics. Every finding says what, where and which number is wrong.
 
 use super::set::{BsdfSet, Column};
-use crate::engine::optics::side::Side;
+use crate::optics::side::Side;
 use std::fmt;
 
 /// Polar angle from which a transmittance that grows like 1/cos is suspicious, degrees.
@@ -147,9 +147,9 @@ impl fmt::Display for Finding {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::bsdf::set::{PatchValue, Quantity};
-    use crate::engine::optics::basis::AngleBasis;
-    use crate::engine::optics::direction::Direction;
+    use crate::bsdf::set::{PatchValue, Quantity};
+    use crate::optics::basis::AngleBasis;
+    use crate::optics::direction::Direction;
     use std::f64::consts::PI;
 
     fn column(side: Side, theta: f64, t: f64) -> Column {

@@ -1,6 +1,6 @@
 //! A basis-by-basis BSDF matrix in the file's indices, and reciprocity.
 
-use crate::engine::optics::basis::AngleBasis;
+use crate::optics::basis::AngleBasis;
 
 /// How a column of the matrix came about.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

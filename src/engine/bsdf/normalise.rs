@@ -2,7 +2,7 @@
 
 use super::budget::{Budget, PatchBsdf};
 use super::patches::PatchMean;
-use crate::engine::error::EngineError;
+use crate::error::EngineError;
 
 /// What the ratio to a diffuser needs, for one channel of one band.
 #[derive(Debug, Clone, Copy, PartialEq)]

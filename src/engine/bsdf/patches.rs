@@ -1,6 +1,6 @@
 //! What one view says patch by patch: mean relative exposure rate with the parts of its uncertainty.
 
-use crate::engine::error::EngineError;
+use crate::error::EngineError;
 
 /// One patch in one channel. Rates are relative exposures per second, x/t, after dark and vignetting.
 #[derive(Debug, Clone, Copy, PartialEq)]

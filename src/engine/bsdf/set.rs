@@ -1,8 +1,8 @@
 //! The result: BSDF values with uncertainty for every hemisphere, incident direction, quantity and emergent patch.
 
-use crate::engine::optics::basis::AngleBasis;
-use crate::engine::optics::direction::Direction;
-use crate::engine::optics::side::Side;
+use crate::optics::basis::AngleBasis;
+use crate::optics::direction::Direction;
+use crate::optics::side::Side;
 use serde::{Deserialize, Serialize};
 
 /// What a value is averaged over in wavelength.

@@ -1,8 +1,8 @@
 //! Totals patch by patch: the readings of all bands and channels combined with optimal weights.
 
 use super::budget::{Budget, PatchBsdf};
-use crate::engine::error::EngineError;
-use crate::engine::spectra::combine::{Combiner, Weights};
+use crate::error::EngineError;
+use crate::spectra::combine::{Combiner, Weights};
 use std::collections::HashMap;
 
 /// Readings of one patch below this coverage are not combined.
@@ -81,11 +81,11 @@ fn total(w: &Weights, readings: &[PatchBsdf]) -> PatchBsdf {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
-    use crate::engine::spectra::combine::Prior;
-    use crate::engine::spectra::curve::Grid;
-    use crate::engine::spectra::kernels::Kernel;
-    use crate::engine::spectra::targets::radiometric;
-    use crate::engine::spectra::testdata;
+    use crate::spectra::combine::Prior;
+    use crate::spectra::curve::Grid;
+    use crate::spectra::kernels::Kernel;
+    use crate::spectra::targets::radiometric;
+    use crate::spectra::testdata;
 
     fn patch(bsdf: f64) -> PatchBsdf {
         let budget = Budget { random: 0.01 * bsdf, scale: 0.005 * bsdf, ..Budget::default() };

@@ -1,7 +1,7 @@
 //! The hemi-ellipsoid: emergent direction u at F1 <-> viewing direction v at F2 (physics 5.1, 5.2).
 
 use super::direction::Vec3;
-use crate::engine::error::EngineError;
+use crate::error::EngineError;
 
 /// A mirror with b = c, foci on x: F1 = (-f, 0, 0) the sample, F2 = (f, 0, 0) the camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -58,7 +58,7 @@ impl Ellipsoid {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
-    use crate::engine::optics::direction::Direction;
+    use crate::optics::direction::Direction;
 
     fn sky() -> impl Iterator<Item = Vec3> {
         (0..46).flat_map(|t| {

@@ -1,7 +1,7 @@
 //! Equidistant fisheye: pixel <-> viewing direction v at F2, in axes parallel to the camera frame.
 
 use super::direction::Vec3;
-use crate::engine::error::EngineError;
+use crate::error::EngineError;
 
 /// theta_c = k rho_px, azimuth of v = azimuth of the pixel in the image + roll. Pixel centres at whole numbers, row 0
 /// on top.

@@ -9,7 +9,7 @@ use super::basis::AngleBasis;
 use super::ellipsoid::Ellipsoid;
 use super::fisheye::Fisheye;
 use super::split::{NONE, Path, Share};
-use crate::engine::error::EngineError;
+use crate::error::EngineError;
 
 /// How colour lies on the sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -504,7 +504,7 @@ pub(crate) mod tests {
     #[test]
     fn leaving_out_the_jacobian_costs_one_minus_e_squared() {
         let spec = ccd();
-        let lens = crate::engine::optics::fisheye::Lens::of(spec.fisheye);
+        let lens = crate::optics::fisheye::Lens::of(spec.fisheye);
         let mut sum = 0.0;
         for row in (16..1040).step_by(2) {
             for column in (0..1392).step_by(2) {

@@ -140,7 +140,7 @@ impl Path {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::optics::direction::Direction;
+    use crate::optics::direction::Direction;
 
     #[test]
     fn the_quick_finder_agrees_with_the_basis() {

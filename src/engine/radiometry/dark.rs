@@ -3,7 +3,7 @@
 
 use super::levels::{Class, LevelTable, Reading};
 use super::merge::{Exposure, check_exposures};
-use crate::engine::error::EngineError;
+use crate::error::EngineError;
 
 /// A pixel is hot when its dark current alone fills this share of the range in the longest exposure.
 const HOT_SHARE: f64 = 0.2;
@@ -137,7 +137,7 @@ impl Fit {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
-    use crate::engine::radiometry::levels::tests::{ccd, ingaas};
+    use crate::radiometry::levels::tests::{ccd, ingaas};
 
     #[test]
     fn a_linear_camera_gives_its_rate_and_its_hot_pixels() {

@@ -6,7 +6,7 @@ use super::levels::tests::{ccd, ingaas};
 use super::levels::{LevelTable, Radiometer, Reading};
 use super::merge::{Exposure, merge};
 use super::sums::SumLevel;
-use crate::engine::optics::pixel_map::{Mosaic, PixelMap, PixelMapSpec, tests as maps, vignetting};
+use crate::optics::pixel_map::{Mosaic, PixelMap, PixelMapSpec, tests as maps, vignetting};
 
 const TIMES: [f64; 5] = [0.01, 0.04, 0.16, 0.64, 2.56];
 /// Exposure rates of the scene in red, green and blue; a mono sensor sees the first.

@@ -4,7 +4,7 @@
 //! reading is t^2 w(x), its weighted rate t w(x) x.
 
 use super::response::{LevelConvention, Response};
-use crate::engine::error::EngineError;
+use crate::error::EngineError;
 
 /// One-sided limit in standard deviations: a level counts as safe from an end of the range when noise carries it
 /// there with a probability below 1e-3.

@@ -6,9 +6,9 @@
 
 use super::dark::Dark;
 use super::levels::{Class, LevelTable, Reading};
-use crate::engine::bsdf::patches::{PatchMean, ViewPatches};
-use crate::engine::error::EngineError;
-use crate::engine::optics::pixel_map::{PixelMap, Row};
+use crate::bsdf::patches::{PatchMean, ViewPatches};
+use crate::error::EngineError;
+use crate::optics::pixel_map::{PixelMap, Row};
 use rayon::prelude::*;
 
 /// How much of a patch mean the point spread can have moved over its border, against what one more point spread moves:
@@ -326,15 +326,15 @@ impl Patch {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stderr)]
     use super::*;
-    use crate::engine::optics::pixel_map::{Mosaic, tests as maps, vignetting};
-    use crate::engine::radiometry::dark::DarkMap;
-    use crate::engine::radiometry::levels::tests::{ccd, ingaas};
-    use crate::engine::radiometry::levels::{LevelTable, Radiometer};
+    use crate::optics::pixel_map::{Mosaic, tests as maps, vignetting};
+    use crate::radiometry::dark::DarkMap;
+    use crate::radiometry::levels::tests::{ccd, ingaas};
+    use crate::radiometry::levels::{LevelTable, Radiometer};
 
     const TIMES: [f64; 5] = [0.01, 0.04, 0.16, 0.64, 2.56];
 
     /// Exposure x of a pixel that sees `rate` for `t`, with vignetting of the small test camera.
-    fn exposure(spec: &crate::engine::optics::pixel_map::PixelMapSpec, i: usize, rate: f64, t: f64) -> f64 {
+    fn exposure(spec: &crate::optics::pixel_map::PixelMapSpec, i: usize, rate: f64, t: f64) -> f64 {
         let zenith = spec.fisheye.zenith_deg((i % spec.width) as f64, (i / spec.width) as f64);
         rate * t * vignetting(&spec.vignetting, (zenith / 90.0).min(1.0))
     }

@@ -7,7 +7,7 @@
 
 use super::curve::Grid;
 use super::kernels::Kernel;
-use crate::engine::error::EngineError;
+use crate::error::EngineError;
 use nalgebra::{DMatrix, DVector};
 
 /// Spectral variability assumed where it cannot be estimated (a single reading), relative to the reading.
@@ -193,8 +193,8 @@ impl Weights {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
-    use crate::engine::spectra::targets::{radiometric, solar, visible};
-    use crate::engine::spectra::testdata;
+    use crate::spectra::targets::{radiometric, solar, visible};
+    use crate::spectra::testdata;
 
     fn mean(g: &[f64], s: &[f64]) -> f64 {
         g.iter().zip(s).map(|(g, s)| g * s).sum::<f64>() / g.iter().sum::<f64>()

@@ -1,6 +1,6 @@
 //! Tabulated spectra: linear between the rows, zero outside; and the wavelength grid of the engine.
 
-use crate::engine::error::EngineError;
+use crate::error::EngineError;
 
 /// A spectrum as a table of ascending wavelengths.
 #[derive(Debug, Clone, PartialEq)]

@@ -29,7 +29,7 @@ pub fn stack_transmittance(grid: &Grid, stack: &[GlassPlate]) -> Vec<f64> {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
-    use crate::engine::spectra::testdata;
+    use crate::spectra::testdata;
 
     #[test]
     fn thickness_is_an_exponent() {

@@ -1,7 +1,7 @@
 //! What each reading measures: K_k = r E F rho / integral, one kernel for every band and channel (physics 3).
 
 use super::curve::Grid;
-use crate::engine::error::EngineError;
+use crate::error::EngineError;
 
 /// Normalised spectral weight of one reading on a grid: a reading divided by that of a neutral reference is
 /// y = sum K(lambda) S(lambda), and sum K = 1.

@@ -4,7 +4,7 @@
 use super::combine::Prior;
 use super::curve::Grid;
 use super::kernels::Kernel;
-use crate::engine::error::EngineError;
+use crate::error::EngineError;
 
 /// A channel with less than this share of its band's strongest signal only sees leaks of its dye.
 const LEAST_SIGNAL: f64 = 0.25;
@@ -97,9 +97,9 @@ impl DisjointBands {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
-    use crate::engine::spectra::filters::stack_transmittance;
-    use crate::engine::spectra::targets::radiometric;
-    use crate::engine::spectra::testdata;
+    use crate::spectra::filters::stack_transmittance;
+    use crate::spectra::targets::radiometric;
+    use crate::spectra::testdata;
 
     /// physics 3: the result for a neutral sample is 2.15 times the true radiance.
     #[test]

@@ -31,7 +31,7 @@ pub fn solar_share(g173_direct: &Curve, [lo, hi]: [f64; 2]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::spectra::testdata;
+    use crate::spectra::testdata;
 
     #[test]
     fn targets_weigh_what_they_name() {

@@ -20,7 +20,7 @@ pub(crate) const INTERVALS_NM: [[f64; 2]; 8] = [
 
 /// One column of a file below `config/spectra`.
 pub(crate) fn column(file: &str, name: &str) -> Curve {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/spectra").join(file);
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config/spectra").join(file);
     let text = std::fs::read_to_string(path).unwrap();
     let mut rows = text.lines().filter(|l| !l.starts_with('#'));
     let at = rows.next().unwrap().split(',').position(|c| c == name).unwrap();
@@ -70,7 +70,7 @@ pub(crate) fn kernels(grid: &Grid) -> Vec<Kernel> {
 
 /// Transmittances of the ten analogues of Table 3, on the grid.
 pub(crate) fn analogues(grid: &Grid) -> Vec<(String, Vec<f64>)> {
-    let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/spectra/glazing");
+    let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config/spectra/glazing");
     let mut names: Vec<String> =
         std::fs::read_dir(dir).unwrap().map(|f| f.unwrap().file_name().into_string().unwrap()).collect();
     names.retain(|n| n.starts_with("model_m"));

@@ -48,22 +48,21 @@ pub struct ByHand<'a> {
 
 /// All devices of an instrument file, in the order a run opens them.
 pub fn entries(instrument: &Instrument) -> Vec<Entry> {
-    let entry = |name: &str, driver: &str, port: &str| Entry {
-        name: name.to_owned(),
-        driver: driver.to_owned(),
-        port: port.to_owned(),
-    };
-    let i = instrument;
-    let mut all = vec![
-        entry("shutter", &i.shutter.driver, &i.shutter.port),
-        entry("filter_wheel", &i.filter_wheel.driver, &i.filter_wheel.port),
-    ];
-    let axes = [("changer", i.holder.changer.is_some()), ("tilt", true), ("spin", true)];
-    all.extend(axes.iter().filter(|(_, is)| *is).map(|(name, _)| entry(name, &i.holder.driver, &i.holder.port)));
-    all.extend(i.light_monitor.iter().map(|d| entry("light_monitor", &d.driver, &d.port)));
-    all.extend(i.monochromator.iter().map(|d| entry("monochromator", &d.driver, &d.port)));
-    all.extend(i.spectrometer.iter().map(|d| entry("spectrometer", &d.driver, &d.port)));
-    all.extend(i.camera.iter().map(|(name, d)| entry(name, &d.driver, &d.port)));
+    let axes = ["changer", "tilt", "spin"]
+        .into_iter()
+        .filter(|name| *name != "changer" || instrument.holder.changer.is_some());
+    let mut all = Vec::new();
+    for link in instrument.links() {
+        let names = match link.key.as_str() {
+            "holder" => axes.clone().collect(),
+            key => vec![link.camera().unwrap_or(key)],
+        };
+        all.extend(names.into_iter().map(|name| Entry {
+            name: name.to_owned(),
+            driver: link.driver.to_owned(),
+            port: link.port.to_owned(),
+        }));
+    }
     all
 }
 

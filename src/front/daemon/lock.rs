@@ -6,7 +6,7 @@
 use super::error::DaemonError;
 use super::snapshot::plain;
 use crate::archive::disk::{RealDisk, make_folders};
-use crate::config::instrument::Instrument;
+use crate::config::instrument::{Instrument, Link};
 use crate::digest::sha256_hex;
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{ErrorKind, Read, Seek, SeekFrom, Write};
@@ -44,7 +44,7 @@ impl Locks {
         let locks = Locks { files: Mutex::new(Vec::new()), who: who.to_owned() };
         let real = std::fs::canonicalize(path).unwrap_or_else(|_| plain(path));
         let mut things = vec![(format!("the instrument {}", path.display()), real)];
-        for port in ports(instrument).into_iter().filter(|p| !p.starts_with("sim:")) {
+        for Link { port, .. } in instrument.links().into_iter().filter(|link| !link.is_simulated()) {
             let real = std::fs::canonicalize(port).unwrap_or_else(|_| PathBuf::from(port));
             things.push((format!("the port {port}"), real));
         }
@@ -102,15 +102,6 @@ impl Locks {
 fn folder() -> PathBuf {
     let usual = Path::new(LOCKS);
     if usual.is_dir() { usual.to_owned() } else { std::env::temp_dir() }
-}
-
-fn ports(instrument: &Instrument) -> Vec<&str> {
-    let mut ports = vec![&*instrument.holder.port, &*instrument.filter_wheel.port, &*instrument.shutter.port];
-    ports.extend(instrument.camera.values().map(|camera| &*camera.port));
-    ports.extend(instrument.light_monitor.iter().map(|monitor| &*monitor.port));
-    ports.extend(instrument.monochromator.iter().map(|monochromator| &*monochromator.port));
-    ports.extend(instrument.spectrometer.iter().map(|spectrometer| &*spectrometer.port));
-    ports
 }
 
 /// Opens the lock file; made so that another user of this machine can lock it too. It is never removed: a lock on a
