@@ -11,6 +11,7 @@ use crate::scene::ExposureRequest;
 use std::collections::VecDeque;
 use std::net::UdpSocket;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
 use tokio::time::Instant;
@@ -52,6 +53,8 @@ pub struct SensorThread {
     commanded: VecDeque<f64>,
     last_used_us: Option<f64>,
     frame_number: u64,
+    /// Blocks that went to the host in control since it took it.
+    host_count: u64,
     block_id: u16,
     sequence: u64,
     /// The picture exposed last, sent or not.
@@ -80,6 +83,7 @@ impl SensorThread {
             commanded: VecDeque::new(),
             last_used_us: None,
             frame_number: 0,
+            host_count: 0,
             block_id: 0,
             sequence: 0,
             before: None,
@@ -120,6 +124,9 @@ impl SensorThread {
             Order::Start => {
                 self.running = true;
                 self.block_id = 0;
+                if self.shared.taken.swap(false, Ordering::SeqCst) {
+                    self.host_count = 0;
+                }
                 self.next_free_start = Instant::now();
             }
             Order::Stop | Order::Quit => {
@@ -166,6 +173,7 @@ impl SensorThread {
         self.exposing = Some(Exposure {
             request: ExposureRequest {
                 frame_number: self.frame_number,
+                host_count: self.host_count + 1,
                 exposure_us,
                 gain_db: registers.get_f64(a::GAIN),
                 started,
@@ -214,7 +222,7 @@ impl SensorThread {
             self.sent = Some(shown.clone());
         }
         if fault == Some(FrameFault::SkippedId) {
-            self.block_id = self.block_id.checked_add(1).unwrap_or(1);
+            self.next_block();
         }
         let block = self.block(&exposure, &shown, fault == Some(FrameFault::Short));
         self.sequence += 1;
@@ -286,8 +294,13 @@ impl SensorThread {
         }
     }
 
-    fn block(&mut self, exposure: &Exposure, shown: &Picture, cut: bool) -> Block {
+    fn next_block(&mut self) {
         self.block_id = self.block_id.checked_add(1).unwrap_or(1);
+        self.host_count += 1;
+    }
+
+    fn block(&mut self, exposure: &Exposure, shown: &Picture, cut: bool) -> Block {
+        self.next_block();
         let payload = if exposure.chunk_mode {
             let mut payload = shown.image.to_vec();
             let length = payload.len();

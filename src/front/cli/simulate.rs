@@ -90,7 +90,9 @@ fn ask(folder: &Path, line: &str) -> Result<serde_json::Value, Failure> {
 }
 
 #[cfg(not(feature = "sim"))]
-fn serve(_: &Args, _: &Output) -> Outcome {
+fn serve(args: &Args, _: &Output) -> Outcome {
+    // Nobody reads them in such a build.
+    let _ = (&args.instrument, &args.sample, args.seed, &args.folder);
     let lacks = crate::front::bench::BenchError::Lacks { what: "simulated bench", feature: "sim" };
     Err(Failure::new(Exit::BadInput, lacks.to_string()))
 }
