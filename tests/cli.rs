@@ -10,8 +10,7 @@ use std::fs;
 
 const COMMANDS: [&str; 19] = [
     "check", "plan", "run", "rehearse", "resume", "reduce", "export", "report", "verify", "status", "serve", "queue",
-    "watch", "pause", "stop", "abort", "safe", "device",
-    "simulate",
+    "watch", "pause", "stop", "abort", "safe", "device", "simulate",
 ];
 
 const SCAN: &str = r#"

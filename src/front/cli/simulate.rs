@@ -142,7 +142,7 @@ mod served {
                 _ = interrupt.recv() => {}
                 _ = terminate.recv() => {}
             }
-            Ok(Simulated { instrument: standing.instrument.clone(), cameras: standing.cameras().clone() })
+            Ok::<_, Failure>(Simulated { instrument: standing.instrument.clone(), cameras: standing.cameras().clone() })
         })?;
         output.result(Exit::Done, &simulated, || "ended; the ports are gone".to_owned())
     }
