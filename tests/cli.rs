@@ -8,9 +8,9 @@ mod common;
 use common::{Lab, root, text};
 use std::fs;
 
-const COMMANDS: [&str; 19] = [
+const COMMANDS: [&str; 20] = [
     "check", "plan", "run", "rehearse", "resume", "reduce", "export", "report", "verify", "status", "serve", "queue",
-    "watch", "pause", "stop", "abort", "safe", "device", "conform",
+    "watch", "pause", "stop", "abort", "safe", "device", "conform", "simulate",
 ];
 
 const SCAN: &str = r#"

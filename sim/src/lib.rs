@@ -5,6 +5,7 @@
 //! - [`firmware`]: devices as state machines; [`front`]: how they reach a link; [`twins`]: all of them together
 //! - [`faults`]: what may go wrong, as a seeded plan; [`conformance`]: what every driver must bear
 //! - [`gige`]: a GigE Vision camera on loopback; [`uvc`]: a USB camera, for the real drivers; [`scene`]: what they photograph
+//! - [`served`]: a whole bench in real time for another process: ports in a folder, cameras on loopback, faults by a socket
 //! - [`camera`], [`stream`]: cameras with their latency and queues
 //! - [`paint`], [`oracle`]: the true state in the pixels, written and read; [`pose`]: what it consists of
 
@@ -19,6 +20,7 @@ pub mod oracle;
 pub mod paint;
 pub mod pose;
 pub mod scene;
+pub mod served;
 pub mod stream;
 pub mod twins;
 pub mod uvc;

@@ -8,6 +8,8 @@ use tokio::time::Instant;
 pub struct ExposureRequest {
     /// Count of exposures since power-up.
     pub frame_number: u64,
+    /// Count of frames that its host has been given since it opened the camera, this one included.
+    pub host_count: u64,
     /// Integration time the sensor really used, in microseconds.
     pub exposure_us: f64,
     /// Gain in dB.
@@ -134,6 +136,7 @@ mod tests {
     fn picture(frame_number: u64, exposure_us: f64) -> Vec<u16> {
         let request = ExposureRequest {
             frame_number,
+            host_count: frame_number,
             exposure_us,
             gain_db: 0.0,
             started: Instant::now(),

@@ -5,6 +5,8 @@ pub mod by_hand;
 mod hardware;
 mod light;
 #[cfg(feature = "sim")]
+pub mod served;
+#[cfg(feature = "sim")]
 mod simulated;
 
 pub use hardware::open_hardware;
@@ -80,6 +82,10 @@ pub enum BenchError {
     #[cfg(feature = "sim")]
     #[error(transparent)]
     Simulation(#[from] goniod_sim::truth::error::SimError),
+    /// A bench for other processes.
+    #[cfg(feature = "sim")]
+    #[error(transparent)]
+    Served(goniod_sim::served::ServeError),
     /// A device's driver.
     #[error(transparent)]
     Device(#[from] DeviceError),

@@ -32,6 +32,8 @@ pub struct PtyPort {
 struct Pty {
     master: OwnedFd,
     path: PathBuf,
+    /// What the link names.
+    target: PathBuf,
 }
 
 // === impl PtyPort ===
@@ -82,7 +84,7 @@ impl Pty {
         }
         let target = name.to_str().map_err(|_| io::Error::from(io::ErrorKind::InvalidData))?;
         std::os::unix::fs::symlink(target, path)?;
-        Ok(Pty { master, path: path.to_owned() })
+        Ok(Pty { master, path: path.to_owned(), target: target.into() })
     }
 
     /// What a program has written: some bytes, nothing at present, or `Err` while nobody has the port open.
@@ -109,8 +111,10 @@ impl Pty {
 
 impl Drop for Pty {
     fn drop(&mut self) {
-        // The name may be gone already; there is nobody to tell.
-        let _ = std::fs::remove_file(&self.path);
+        // The name may be gone already, or another's by now; there is nobody to tell.
+        if std::fs::read_link(&self.path).is_ok_and(|target| target == self.target) {
+            let _ = std::fs::remove_file(&self.path);
+        }
     }
 }
 

@@ -39,8 +39,9 @@ impl Scene for BenchScene {
         }
         let look = Look { photographer: &self.photographer, surroundings: &self.surroundings, name: &self.name };
         let exposure = ExposureTime(request.exposure_us.round() as u64);
-        let id = request.frame_number;
-        let pixels = look.picture(request.started, exposure, [id, id + NOISE], None);
+        // Painted is what the host counts, which begins anew with each host; the noise never comes again.
+        let noise = request.frame_number + NOISE;
+        let pixels = look.picture(request.started, exposure, [request.host_count, noise], None);
         let (from, to) = (file.levels(), u32::from(request.max_level) + 1);
         let scaled = |level: u16| (u64::from(level) * u64::from(to) / u64::from(from)) as u16;
         match pixels {

@@ -8,6 +8,7 @@ use super::registers::{Effect, status};
 use super::shared::{Order, Shared, pause};
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::sync::mpsc::Sender;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -181,6 +182,9 @@ impl Control {
             drop_control(&self.shared, &self.orders);
         } else {
             *self.shared.controller() = Some(from);
+            if holder.is_none() {
+                self.shared.taken.store(true, Ordering::SeqCst);
+            }
             self.shared.registers().put(a::PRIVILEGE, wanted);
             self.last_heard = Instant::now();
         }

@@ -1,5 +1,6 @@
 //! What can be made to go wrong with the twin, and the twin's own record of what it really did.
 
+use std::collections::VecDeque;
 use std::time::Duration;
 
 /// Faults in force. All off by default; changed while the twin runs.
@@ -29,6 +30,8 @@ pub struct Faults {
     pub latency_frames: u32,
     /// The frame in which the integration time changes is half old, half new.
     pub half_changed: bool,
+    /// Faults of the next frames, one a frame.
+    pub next: VecDeque<FrameFault>,
 }
 
 /// What was wrong with a frame on purpose.
@@ -42,6 +45,14 @@ pub enum FrameFault {
     Short,
     /// Upper half old integration time, lower half new.
     HalfChanged,
+    /// Exposed, but never sent.
+    NoFrame,
+    /// Sent so much later.
+    Late(Duration),
+    /// All levels are 0.
+    Black,
+    /// A block id is left out before it.
+    SkippedId,
 }
 
 /// What the twin really did for one block it sent.

@@ -1,5 +1,7 @@
 //! Pixel formats of the twin: their codes and how levels become bytes on the wire.
 
+use goniod_drivers::frame::PixelFormat;
+
 /// What a pixel looks like on the wire (codes of the GigE Vision / PFNC lists).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum PixelCode {
@@ -71,6 +73,21 @@ impl PixelCode {
             PixelCode::BayerRg8 => 0x0108_0009,
             PixelCode::BayerGb8 => 0x0108_000a,
             PixelCode::BayerBg12 => 0x0110_0013,
+        }
+    }
+
+    /// The code of frames of this format, in plain bytes or words; `None` where the twin has none.
+    pub fn of(format: PixelFormat) -> Option<PixelCode> {
+        match format {
+            PixelFormat::Mono8 => Some(PixelCode::Mono8),
+            PixelFormat::Mono10 => Some(PixelCode::Mono10),
+            PixelFormat::Mono12 => Some(PixelCode::Mono12),
+            PixelFormat::Mono14 => Some(PixelCode::Mono14),
+            PixelFormat::Mono16 => Some(PixelCode::Mono16),
+            PixelFormat::BayerRggb8 => Some(PixelCode::BayerRg8),
+            PixelFormat::BayerGbrg8 => Some(PixelCode::BayerGb8),
+            PixelFormat::BayerBggr12 => Some(PixelCode::BayerBg12),
+            _ => None,
         }
     }
 

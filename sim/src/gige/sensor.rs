@@ -11,6 +11,7 @@ use crate::scene::ExposureRequest;
 use std::collections::VecDeque;
 use std::net::UdpSocket;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
 use tokio::time::Instant;
@@ -52,6 +53,8 @@ pub struct SensorThread {
     commanded: VecDeque<f64>,
     last_used_us: Option<f64>,
     frame_number: u64,
+    /// Blocks that went to the host in control since it took it.
+    host_count: u64,
     block_id: u16,
     sequence: u64,
     /// The picture exposed last, sent or not.
@@ -80,6 +83,7 @@ impl SensorThread {
             commanded: VecDeque::new(),
             last_used_us: None,
             frame_number: 0,
+            host_count: 0,
             block_id: 0,
             sequence: 0,
             before: None,
@@ -120,6 +124,9 @@ impl SensorThread {
             Order::Start => {
                 self.running = true;
                 self.block_id = 0;
+                if self.shared.taken.swap(false, Ordering::SeqCst) {
+                    self.host_count = 0;
+                }
                 self.next_free_start = Instant::now();
             }
             Order::Stop | Order::Quit => {
@@ -166,6 +173,7 @@ impl SensorThread {
         self.exposing = Some(Exposure {
             request: ExposureRequest {
                 frame_number: self.frame_number,
+                host_count: self.host_count + 1,
                 exposure_us,
                 gain_db: registers.get_f64(a::GAIN),
                 started,
@@ -194,7 +202,10 @@ impl SensorThread {
         let faults = self.shared.faults().clone();
         let mut fault = exposure.half_with_us.map(|_| FrameFault::HalfChanged);
         let mut shown = picture.clone();
-        if self.frame_draws.happens(faults.stale_per_1000)
+        let ordered = self.shared.faults().next.pop_front();
+        if ordered.is_some() {
+            (shown, fault) = (self.ordered(ordered, &picture), ordered);
+        } else if self.frame_draws.happens(faults.stale_per_1000)
             && let Some(before) = self.before.clone()
         {
             (shown, fault) = (before, Some(FrameFault::Stale));
@@ -207,8 +218,11 @@ impl SensorThread {
             fault = Some(FrameFault::Short);
         }
         self.before = Some(picture);
-        if fault != Some(FrameFault::Short) {
+        if !matches!(fault, Some(FrameFault::Short | FrameFault::NoFrame)) {
             self.sent = Some(shown.clone());
+        }
+        if fault == Some(FrameFault::SkippedId) {
+            self.next_block();
         }
         let block = self.block(&exposure, &shown, fault == Some(FrameFault::Short));
         self.sequence += 1;
@@ -220,13 +234,39 @@ impl SensorThread {
             commanded_us: exposure.commanded_us,
             fault,
         });
-        self.shared.keep(block.clone());
-        if !faults.mute {
+        if let Some(FrameFault::Late(by)) = fault {
+            self.linger(by);
+        }
+        if fault != Some(FrameFault::NoFrame) {
+            self.shared.keep(block.clone());
+        }
+        if !faults.mute && fault != Some(FrameFault::NoFrame) {
             self.send(&block, &faults);
         }
         if self.shared.registers().get(a::ACQUISITION_MODE) == 1 {
             self.running = false;
             self.shared.registers().acquiring = false;
+        }
+    }
+
+    /// The picture that is sent where a fault was ordered for this frame.
+    fn ordered(&self, fault: Option<FrameFault>, picture: &Picture) -> Picture {
+        let shown = match fault {
+            Some(FrameFault::Stale) => self.before.clone(),
+            Some(FrameFault::Repeated) => self.sent.clone().map(|sent| Picture { stamp: picture.stamp, ..sent }),
+            Some(FrameFault::Black) => {
+                Some(Picture { image: Arc::new(vec![0; picture.image.len()]), ..picture.clone() })
+            }
+            _ => None,
+        };
+        shown.unwrap_or_else(|| picture.clone())
+    }
+
+    /// Waits, or until the camera is switched off.
+    fn linger(&self, time: Duration) {
+        let until = Instant::now() + time;
+        while Instant::now() < until && self.shared.alive() {
+            pause(Duration::from_millis(5).min(until.saturating_duration_since(Instant::now())));
         }
     }
 
@@ -254,8 +294,13 @@ impl SensorThread {
         }
     }
 
-    fn block(&mut self, exposure: &Exposure, shown: &Picture, cut: bool) -> Block {
+    fn next_block(&mut self) {
         self.block_id = self.block_id.checked_add(1).unwrap_or(1);
+        self.host_count += 1;
+    }
+
+    fn block(&mut self, exposure: &Exposure, shown: &Picture, cut: bool) -> Block {
+        self.next_block();
         let payload = if exposure.chunk_mode {
             let mut payload = shown.image.to_vec();
             let length = payload.len();

@@ -61,6 +61,8 @@ pub struct Shared {
     traffic: Mutex<Traffic>,
     sent: Mutex<VecDeque<Block>>,
     controller: Mutex<Option<SocketAddrV4>>,
+    /// A host has taken control, and acquisition has not begun since.
+    pub taken: AtomicBool,
     /// The twin hangs.
     pub frozen: AtomicBool,
     /// The threads are to end.
@@ -111,6 +113,7 @@ impl Shared {
             traffic: Mutex::default(),
             sent: Mutex::default(),
             controller: Mutex::default(),
+            taken: AtomicBool::new(false),
             frozen: AtomicBool::new(false),
             stop: AtomicBool::new(false),
         }

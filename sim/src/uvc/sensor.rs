@@ -219,6 +219,7 @@ impl Sensor {
         let mut levels = vec![0; self.mode.pixels()];
         let request = ExposureRequest {
             frame_number: exposure.number,
+            host_count: exposure.number,
             exposure_us: f64::from(settings.exposure) * 100.0,
             gain_db: f64::from(settings.gain) * 0.1,
             started: exposure.started,

@@ -19,6 +19,7 @@ mod resume;
 mod run;
 mod safe;
 mod serve;
+mod simulate;
 mod status;
 mod verbs;
 mod verify;
@@ -53,6 +54,8 @@ enum Command {
     Resume(resume::Args),
     /// Measure on the simulated bench in virtual time: a night in seconds.
     Rehearse(rehearse::Args),
+    /// Serve the simulated bench to other programs: ports in a folder, cameras on loopback, faults by a socket.
+    Simulate(simulate::Args),
     /// Make all products again from the raw frames of a run.
     Reduce(reduce::Args),
     /// Write one product of a run again.
@@ -117,6 +120,7 @@ fn dispatch(command: Command, output: &Output) -> Outcome {
         Command::Run(args) => run::run(args, output),
         Command::Resume(args) => resume::run(args, output),
         Command::Rehearse(args) => rehearse::run(args, output),
+        Command::Simulate(args) => simulate::run(args, output),
         Command::Reduce(args) => reduce::run(args, output),
         Command::Export(args) => export::run(args, output),
         Command::Report(args) => report::run(args, output),

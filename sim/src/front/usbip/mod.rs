@@ -3,12 +3,13 @@
 //! A transfer that the device is not ready for waits, as on a real bus: the host times it out and takes it back. A
 //! halted endpoint stays halted until the host clears it. Pulling a device out drops its connection.
 //!
-//! - [`wire`]: bytes; [`standard`]: requests every device answers; [`transfers`]: what waits and how it ends
+//! - [`wire`]: bytes; [`standard`]: requests every device answers; [`transfers`]: what waits and how it ends; [`vhci`]: the host's end
 
 pub mod standard;
 #[cfg(test)]
 mod tests;
 pub mod transfers;
+pub mod vhci;
 pub mod wire;
 
 pub use transfers::{SharedTwin, Tally};

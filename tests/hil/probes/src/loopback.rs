@@ -168,6 +168,7 @@ fn produce(stop: &AtomicBool, frames: &AtomicU64) -> std::io::Result<()> {
         };
         let request = ExposureRequest {
             frame_number: frames.load(Ordering::SeqCst) + 1,
+            host_count: frames.load(Ordering::SeqCst) + 1,
             exposure_us: exposure_ms as f64 * 1e3,
             gain_db: 0.0,
             started: Instant::now(),

@@ -11,9 +11,9 @@ mod serial;
 mod usb;
 mod uvc;
 mod v4l2;
-mod vhci;
 mod vivid;
 
+use goniod_sim::front::usbip::vhci;
 use report::Report;
 
 async fn run(subject: &str, report: &mut Report) -> bool {
