@@ -119,11 +119,6 @@ impl Newport1830cTwin {
         &self.lamp
     }
 
-    /// True while a fault waits for its occasion.
-    pub fn faults_wait(&self) -> bool {
-        self.outbox.faults_wait()
-    }
-
     /// The wavelength of the correction that is set, in nanometres.
     pub fn wavelength_nm(&self) -> f64 {
         f64::from(self.settings.wavelength)
