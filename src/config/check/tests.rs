@@ -311,7 +311,7 @@ fn calibrations_must_be_of_the_camera_and_of_the_day() {
 #[test]
 fn devices_must_be_known_and_safe() {
     Bench::new().instrument("zaber-ascii", "zaber-asci").only("holder.driver", &["did you mean \"zaber-ascii\""]);
-    Bench::new().instrument("\"sim:shutter\"", "\"sim:holder\"").only("shutter.port", &["holder uses already"]);
+    Bench::new().instrument("\"sim:shutter\"", "\"sim:holder\"").only("holder.port", &["shutter uses already"]);
     Bench::new()
         .instrument("\"shutter\", \"cameras\"", "\"shuter\", \"shutter\", \"cameras\"")
         .only("safe_state.order[0]", &["did you mean \"shutter\""]);
