@@ -68,8 +68,11 @@ fn run_words(event: &Event) -> String {
         Event::Asked { verb, refused: Some(why) } => format!("{} was asked and refused: {why}", verb.name()),
         Event::Interlocks { warnings, alarms } => interlock_words(warnings, alarms),
         Event::LightRead { power_w, u_w, .. } => format!("lamp {power_w:.4e} W, standard uncertainty {u_w:.1e} W"),
-        Event::ViewRetaken { view, change } => {
+        Event::ViewRetaken { view, change: Some(change) } => {
             format!("view {view} is taken again: the lamp changed by {:.2} %", change * 100.0)
+        }
+        Event::ViewRetaken { view, change: None } => {
+            format!("view {view} is taken again: it is not known how the lamp changed")
         }
         Event::RunEnded { stored, missing, planned, message, .. } => {
             let message = message.as_ref().map_or_else(String::new, |m| format!("; {m}"));
