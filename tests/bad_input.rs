@@ -245,7 +245,7 @@ fn a_sample_and_a_moment_that_do_not_exist() {
     let lab = Lab::small();
     let scan = lab.scan("bad.toml", SCAN);
     let said = command(&lab, "rehearse", &scan, &["--sample", "none.toml"]);
-    told(&said, BAD_INPUT, &["none.toml: cannot be read", "check the path"]);
+    told(&said, BAD_INPUT, &["none.toml: there is no such sample file", "check the path"]);
     let said = command(&lab, "rehearse", &scan, &["--start", "tonight"]);
     told(&said, 2, &["`tonight` is not a moment", "2026-01-01T18:00:00Z"]);
 }

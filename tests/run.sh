@@ -39,16 +39,23 @@ run_one() {
 export -f run_one
 export work
 
-cargo fmt --all -- --check \
-    && cargo clippy --workspace --all-targets --all-features --quiet -- -D warnings \
-    && cargo clippy -p goniod --no-default-features --quiet -- -D warnings \
-    && cargo clippy -p goniod --quiet -- -D warnings
-lints=$?
+# Lints of every combination of features that is promised; beside the tests, in the time they wait.
+lints() {
+    cargo fmt --all -- --check \
+        && cargo clippy --workspace --all-targets --all-features --quiet -- -D warnings \
+        && cargo clippy -p goniod --no-default-features --quiet -- -D warnings \
+        && cargo clippy -p goniod --quiet -- -D warnings
+}
 
 cargo test --workspace --all-features --no-run --message-format=json-render-diagnostics >"$work/built.json"
 built=$?
 programs "$work/built.json" >"$work/programs"
+(lints >"$work/lints.log" 2>&1) &
+linting=$!
 xargs -d '\n' -P 2 -I{} bash -c 'run_one "$@"' run_one {} "$@" <"$work/programs"
+wait $linting
+lints=$?
+[ $lints = 0 ] || cat "$work/lints.log"
 cargo test --workspace --all-features --doc --quiet >"$work/doc.log" 2>&1 || { cat "$work/doc.log"; echo "run.sh: doc tests failed" >>"$work/failed"; }
 
 # The virtual bench, unless single tests were asked for or it is left out.
@@ -60,10 +67,10 @@ if [ $# = 0 ] && [ "${GONIOD_HIL:-}" != skip ]; then
 fi
 
 # What went wrong once more, where a reader of the last lines finds it.
-[ $lints = 0 ] || echo "run.sh: formatting, lints or a combination of features failed, see the beginning"
+[ $lints = 0 ] || echo "run.sh: formatting, lints or a combination of features failed, see above"
 [ $built = 0 ] || echo "run.sh: the tests could not be built, see the beginning"
 [ $hil = 0 ] || echo "run.sh: the virtual bench failed"
-grep -hE "^test .* FAILED$|panicked at|^run.sh: " "$work"/*.log | tail -n 60
+grep -hE "^test .* FAILED$|panicked at|^error|^run.sh: " "$work"/*.log | tail -n 60
 [ -s "$work/failed" ] && cat "$work/failed"
 
 # Lints, a build that failed and a program that ended without a result count as a failure each.

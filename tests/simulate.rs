@@ -183,6 +183,8 @@ formats = ["hdf5"]
             "instrument.sim.toml",
             &[
                 ("\"zaber-ascii\"", "\"newport-esp301\""),
+                ("speed_deg_per_s = 120.0", "speed_deg_per_s = 20.0"),
+                ("acceleration_deg_per_s2 = 1000.0", "acceleration_deg_per_s2 = 40.0"),
                 ("device = 2\naxis = 1", "device = 1\naxis = 2"),
                 ("device = 3\naxis = 1", "device = 1\naxis = 3"),
                 ("\"thorlabs-sc10\"", "\"lcus-relay\""),
