@@ -56,7 +56,6 @@ xargs -d '\n' -P 2 -I{} bash -c 'run_one "$@"' run_one {} "$@" <"$work/programs"
 wait $linting
 lints=$?
 [ $lints = 0 ] || cat "$work/lints.log"
-cargo test --workspace --all-features --doc --quiet >"$work/doc.log" 2>&1 || { cat "$work/doc.log"; echo "run.sh: doc tests failed" >>"$work/failed"; }
 
 # The virtual bench, unless single tests were asked for or it is left out.
 hil=0
