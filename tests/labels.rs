@@ -152,9 +152,12 @@ fn are_well_exposed(a: &BracketFrame, b: &BracketFrame, levels: u32) -> bool {
     both >= 64 && 2 * both >= count(|a, _| a) && 2 * both >= count(|_, b| b)
 }
 
-/// The frames of every lit bracket with their steps, shortest exposure first.
-fn brackets(files: &Files) -> Vec<(&View, Vec<(&Step, BracketFrame)>)> {
-    let mut brackets: BTreeMap<u32, (&View, Vec<(&Step, BracketFrame)>)> = BTreeMap::new();
+/// A view and the frames of its bracket with their steps.
+type Taken<'a> = (&'a View, Vec<(&'a Step, BracketFrame)>);
+
+/// The frames of every lit bracket, shortest exposure first.
+fn brackets(files: &Files) -> Vec<Taken<'_>> {
+    let mut brackets: BTreeMap<u32, Taken<'_>> = BTreeMap::new();
     for (step, view) in files.steps().filter(|(_, v)| v.subject != Subject::Dark) {
         let (pixels, first) = (files.pixels(step, view).unwrap(), files.reserved_pixels(view));
         let frame = BracketFrame::of(step.exposure.0, pixels.len() - first, |i| pixels.level(first + i));
