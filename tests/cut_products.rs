@@ -67,6 +67,9 @@ enum Did {
     Missing { step: u32, reason: String },
 }
 
+/// How a run's folder is left by a cut: the folder recorded, the one to leave, what was on the disk then, a draw.
+type Way = fn(&Path, &Path, &State, Key);
+
 /// A night as it was recorded.
 struct Recorded {
     run_id: String,
@@ -238,7 +241,7 @@ fn a_night_cut_by_a_kill_or_by_the_power_gives_the_same_products() {
         assert!(night.products.contains_key(wanted), "{wanted}: {:?}", night.products.keys());
     }
     assert!(night.products.keys().any(|name| name.starts_with("products/plots/")));
-    let ways: [(&str, fn(&Path, &Path, &State, Key)); 2] = [("kill", killed), ("power", powerless)];
+    let ways: [(&str, Way); 2] = [("kill", killed), ("power", powerless)];
     std::thread::scope(|scope| {
         for (offset, (name, leave)) in ways.into_iter().enumerate() {
             let night = &night;
