@@ -227,7 +227,7 @@ impl Esp301Axis {
             return Err(self.error(ErrorKind::Refused, what));
         }
         if !self.referenced {
-            return Err(self.error(ErrorKind::Refused, "the axis has no reference; home it first"));
+            return Err(self.error(ErrorKind::Broken, "the axis has no reference; home it first"));
         }
         Ok(())
     }

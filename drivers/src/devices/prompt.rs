@@ -141,6 +141,12 @@ impl PromptWire {
                 format!("a NUL came with the answer to `{request}`: the device restarted, or the line is disturbed");
             return Err(self.error(ErrorKind::Garbled, what));
         }
+        if body == SYNC_ANSWER && !request.is_empty() {
+            let what = format!(
+                "the device did not understand `{request}`: other bytes reached it than were sent, or its firmware lacks the command"
+            );
+            return Err(self.error(ErrorKind::Garbled, what));
+        }
         self.suspect = false;
         match body.strip_prefix("Command error ") {
             Some(why) => Err(self.error(ErrorKind::Refused, format!("the device rejected `{request}`: {why}"))),

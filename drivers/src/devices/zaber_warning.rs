@@ -99,8 +99,8 @@ impl Warning {
     /// What an absolute move that has not begun makes of it.
     pub fn forbids_move(&self) -> Option<ErrorKind> {
         match self.class {
-            Class::Fault | Class::DriveOff | Class::PositionLost => Some(ErrorKind::Broken),
-            Class::Unreferenced => Some(ErrorKind::Refused),
+            // Without a reference the axis was restarted since it was homed: homing it mends that.
+            Class::Fault | Class::DriveOff | Class::PositionLost | Class::Unreferenced => Some(ErrorKind::Broken),
             Class::Manual => Some(ErrorKind::Busy),
             Class::Interrupted | Class::Note => None,
         }
