@@ -183,7 +183,7 @@ async fn open_home_and_move_find_the_true_angle() {
     assert_eq!((identity.model.as_str(), identity.serial.as_str()), ("Newport URS100BCC", "1001"));
     assert!(identity.firmware.contains("ESP301"), "{identity:?}");
     assert_eq!(c.axes[0].position().await.unwrap(), None);
-    assert_eq!(c.axes[0].move_to(Degrees(30.0)).await.unwrap_err().kind, ErrorKind::Refused);
+    assert_eq!(c.axes[0].move_to(Degrees(30.0)).await.unwrap_err().kind, ErrorKind::Broken);
     c.axes[0].home().await.unwrap();
     assert!(c.true_angle(1).abs() < 1e-6);
     let reached = c.axes[0].move_to(Degrees(123.4)).await.unwrap();

@@ -109,7 +109,7 @@ async fn open_home_and_move_find_the_true_angle() {
     let identity = bench.axes[0].open().await.unwrap();
     assert_eq!((identity.serial.as_str(), identity.firmware.as_str()), ("1001", "7.38"));
     assert_eq!(bench.axes[0].position().await.unwrap(), None, "unreferenced is unknown");
-    assert_eq!(bench.axes[0].move_to(Degrees(30.0)).await.unwrap_err().kind, ErrorKind::Refused);
+    assert_eq!(bench.axes[0].move_to(Degrees(30.0)).await.unwrap_err().kind, ErrorKind::Broken);
     bench.axes[0].home().await.unwrap();
     assert!(tilt(&bench).abs() < 1e-6);
     let reached = bench.axes[0].move_to(Degrees(123.4)).await.unwrap();
