@@ -1,8 +1,11 @@
 //! Promise: a night that was cut and gone on with gives the same products, byte for byte: every format, plots, report, seal.
 //!
 //! One night is recorded on the simulated bench. Its events, rows and pixels are then written again through the archive, cut at
-//! a spread of places (each kind of place at least once; every place with `GONIOD_CUTS=1`), gone on with from what the
-//! journal has, and reduced. Times and run id are those of the recorded night, so no byte of any product may differ.
+//! every place and gone on with from what the journal has; and the recovery is cut at each of its places, after a first cut
+//! of each kind and after one place in so many (every one with `GONIOD_CUTS=1`). Times and run id are those of the recorded
+//! night, so no byte of any product may differ. Products are made from the rows of the journal and the files beside it and
+//! from nothing else; so these are compared everywhere, and products are made for every content that is another one, and
+//! for a spread of places all the same.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stderr)]
 
 mod common;
@@ -14,27 +17,31 @@ mod tiny;
 use cut::{CutDisk, State, killed, powerless};
 use goniod::archive::disk::Disk;
 use goniod::archive::rows::{EventRow, FrameRow, StepState};
+use goniod::archive::rundir::JOURNAL;
+use goniod::archive::seal::{PRODUCTS, SEAL};
 use goniod::archive::verify::verify;
 use goniod::archive::{ArchiveError, NewRun, RunDir, RunLayout};
 use goniod::control::events::Event;
 use goniod::control::plan::document::INPUTS;
-use goniod::products::make::{Product, make, make_all};
+use goniod::digest::sha256_hex;
+use goniod::products::make::{Product, make};
 use goniod::products::reduce::Run;
 use goniod_drivers::frame::Pixels;
 use goniod_sim::truth::rng::Key;
 use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use tiny::{Tiny, memory_folder};
 
 /// Least exposures of the night.
 const EXPOSURES: usize = 60;
-/// One place in so many is cut, besides the first of each kind.
-const EVERY: usize = 240;
-/// Of those, one in so many is cut again in its recovery, at one place in so many.
-const AGAIN: (usize, usize) = (8, 15);
+/// After one place in so many the recovery is cut, too, besides the first place of each kind.
+const EVERY: usize = 100;
+/// Places for which the products are made although the content is that of the night without cut.
+const CONTROLS: usize = 3;
 
 const SCAN: &str = r#"
 name = "cut night"
@@ -70,6 +77,21 @@ enum Did {
 /// How a run's folder is left by a cut: the folder recorded, the one to leave, what was on the disk then, a draw.
 type Way = fn(&Path, &Path, &State, Key);
 
+/// What happened at the places of one way to cut.
+#[derive(Default)]
+struct Tally {
+    /// Runs gone on with after one cut, by the kind of its place.
+    cuts: BTreeMap<String, usize>,
+    /// Runs gone on with after a cut of the recovery too, by the kinds of both places.
+    again: BTreeMap<(String, String), usize>,
+    /// Places before there was a run to go on with.
+    too_early: usize,
+    /// Digests of the contents that runs ended with.
+    contents: BTreeSet<String>,
+    /// Runs whose products were made.
+    products: usize,
+}
+
 /// A night as it was recorded.
 struct Recorded {
     run_id: String,
@@ -77,7 +99,38 @@ struct Recorded {
     files: Vec<(PathBuf, Vec<u8>)>,
     layout: RunLayout,
     events: Vec<(EventRow, Did)>,
+    content: String,
     products: BTreeMap<String, Vec<u8>>,
+}
+
+// === impl Tally ===
+
+impl Tally {
+    /// Prints the figures, and holds that every place was one of these and no kind of recovery place is left out.
+    fn judge(&self, way: &str, places: usize) {
+        let (cuts, again): (usize, usize) = (self.cuts.values().sum(), self.again.values().sum());
+        let Tally { too_early, contents, products, .. } = self;
+        eprintln!(
+            "{way}: {places} places, {too_early} before there is a run; {cuts} cut once and {again} again in the recovery, \
+             of {} kinds and {} pairs of kinds; contents: {}, products made {products} times",
+            self.cuts.len(),
+            self.again.len(),
+            contents.len()
+        );
+        for (kind, n) in &self.cuts {
+            let (places, cuts) = self.again_after(kind);
+            eprintln!("{n:6} x {kind}; recovery: {places} kinds of places, {cuts} cuts");
+            assert!(places > 0, "{way}: no recovery was cut after {kind}");
+        }
+        assert_eq!(cuts + too_early, places, "{way}");
+        assert!(*products >= CONTROLS, "{way}: {products}");
+    }
+
+    /// Kinds of places at which the recovery after a first cut of this kind was cut, and how often it was.
+    fn again_after(&self, kind: &str) -> (usize, usize) {
+        let after = self.again.iter().filter(|((first, _), _)| first == kind);
+        after.fold((0, 0), |(places, cuts), (_, n)| (places + 1, cuts + n))
+    }
 }
 
 // === impl Recorded ===
@@ -112,7 +165,7 @@ impl Recorded {
         let layout = RunLayout { plan_hash, arrays, steps: steps.iter().map(|s| s.layout.clone()).collect() };
         let run_id = dir.with(|j| j.value("run_id")).unwrap();
         let (plan, files) = (dir.plan_toml().unwrap(), inputs.map(copied).collect());
-        Recorded { run_id, plan, files, layout, events, products: products(&path) }
+        Recorded { run_id, plan, files, layout, events, content: content(&path), products: products(&path) }
     }
 
     fn create(&self, runs: &Path, disk: Arc<dyn Disk>) -> Result<RunDir, ArchiveError> {
@@ -120,10 +173,10 @@ impl Recorded {
         RunDir::create_on(runs, &NewRun { run_id, plan_toml: plan, files, layout }, disk)
     }
 
-    /// Writes what the journal does not have yet, as the recorder does.
-    fn write(&self, run: &RunDir) -> Result<(), ArchiveError> {
+    /// Writes what the journal does not have yet, as the recorder does, `most` events of it.
+    fn write(&self, run: &RunDir, most: usize) -> Result<(), ArchiveError> {
         let from = run.with(|j| j.next_seq())?;
-        for (event, did) in self.events.iter().filter(|(event, _)| event.seq >= from) {
+        for (event, did) in self.events.iter().filter(|(event, _)| event.seq >= from).take(most) {
             match did {
                 Did::Told => run.with(|j| j.event(event))?,
                 Did::Missing { step, reason } => run.with(|j| j.step_missing(*step, reason, event))?,
@@ -135,15 +188,17 @@ impl Recorded {
         Ok(())
     }
 
-    /// Goes on with a cut run to its end and compares its products.
-    fn goes_on(&self, run: &Path, what: &str) {
-        if run.join("journal.sqlite").exists() {
-            let before = verify(run).unwrap();
-            assert!(before.sound(), "{what}: {:?}", before.findings);
-            let dir = RunDir::resume(run).unwrap_or_else(|e| panic!("{what}: {e}"));
-            self.write(&dir).unwrap_or_else(|e| panic!("{what}: {e}"));
-            dir.close().unwrap();
+    /// Goes on with a cut run to its end and compares what it has with the night without cut; its products, too, where they
+    /// are wanted or the content is one that was not met before.
+    fn goes_on(&self, run: &Path, wanted: bool, tally: &Mutex<Tally>, what: &str) {
+        let dir = RunDir::resume(run).unwrap_or_else(|e| panic!("{what}: {e}"));
+        self.write(&dir, usize::MAX).unwrap_or_else(|e| panic!("{what}: {e}"));
+        dir.close().unwrap_or_else(|e| panic!("{what}: {e}"));
+        let content = content(run);
+        let known = content == self.content;
+        if tally.lock().unwrap().contents.insert(content) && !known || wanted {
             self.same_products(run, what);
+            tally.lock().unwrap().products += 1;
         }
     }
 
@@ -157,81 +212,115 @@ impl Recorded {
     }
 }
 
+/// Digest of what the products of a closed run are made from: every row that the journal gives, every file beside it. The
+/// bytes of the journal's own file are not in it, nor those of its seal, which repeats their digest: nothing but SQLite
+/// and the seal's check reads them.
+fn content(run: &Path) -> String {
+    let dir = RunDir::open(run).unwrap();
+    let mut text = dir.with(|j| j.row_digest()).unwrap();
+    for (name, bytes) in files(run, run) {
+        if name != JOURNAL && name != SEAL {
+            write!(text, "\n{name} {}", sha256_hex(&bytes)).unwrap();
+        }
+    }
+    sha256_hex(text.as_bytes())
+}
+
+/// The files below `folder`, by their paths below `root`.
+fn files(root: &Path, folder: &Path) -> BTreeMap<String, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    for entry in fs::read_dir(folder).unwrap().flatten() {
+        let path = entry.path();
+        if path.is_dir() {
+            found.append(&mut files(root, &path));
+        } else {
+            found.insert(common::text(path.strip_prefix(root).unwrap()), fs::read(path).unwrap());
+        }
+    }
+    found
+}
+
 /// Makes every product of a run; gives the files by name.
 fn products(path: &Path) -> BTreeMap<String, Vec<u8>> {
     let run = Run::open(path).unwrap();
-    make_all(&run).unwrap();
-    make(&run, &[Product::KlemsXmlBands]).unwrap();
-    let mut files = BTreeMap::new();
-    let mut folders = vec![path.join("products")];
-    while let Some(folder) = folders.pop() {
-        for entry in fs::read_dir(&folder).unwrap().flatten() {
-            let file = entry.path();
-            if file.is_dir() {
-                folders.push(file);
-            } else {
-                let name = file.strip_prefix(path).unwrap().to_string_lossy().into_owned();
-                files.insert(name, fs::read(file).unwrap());
-            }
-        }
-    }
-    files
+    let every = [Product::KlemsXml, Product::KlemsXmlBands, Product::Hdf5, Product::Plots, Product::Report];
+    make(&run, &every).unwrap();
+    files(path, &path.join(PRODUCTS))
 }
 
-/// One place in so many.
+/// After one place in so many the recovery is cut.
 fn every() -> usize {
     std::env::var("GONIOD_CUTS").ok().and_then(|n| n.parse().ok()).unwrap_or(EVERY)
 }
 
-/// Cuts the night at its places; each copy is gone on with at once, while the night waits.
-fn cut_everywhere(night: &Arc<Recorded>, leave: fn(&Path, &Path, &State, Key), offset: usize) -> (usize, usize, usize) {
+/// Places of the night.
+fn places(night: &Recorded) -> usize {
+    let folder = memory_folder();
+    let disk = CutDisk::new(|_, _, _| {});
+    let run = night.create(&folder.path().join("live"), disk.clone()).unwrap();
+    night.write(&run, usize::MAX).unwrap();
+    run.close().unwrap();
+    disk.points()
+}
+
+/// Cuts the night at each of its places; each copy is gone on with at once, while the night waits.
+fn cut_everywhere(night: &Arc<Recorded>, places: usize, (leave, offset): (Way, usize)) -> Arc<Mutex<Tally>> {
     let folder = memory_folder();
     let (runs, copy) = (folder.path().join("live"), folder.path().join("cut"));
     let live = runs.join(&night.run_id);
-    let (again, cuts) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
-    let kinds = Mutex::new(BTreeSet::new());
-    let (told, counted, second) = (Arc::clone(night), Arc::clone(&cuts), Arc::clone(&again));
+    let tally = Arc::new(Mutex::new(Tally::default()));
+    let (told, counted) = (Arc::clone(night), Arc::clone(&tally));
     let disk = CutDisk::new(move |n, what, state| {
-        // Before the run has its name there is nothing to go on with.
-        if !live.is_dir() || !(kinds.lock().unwrap().insert(what.to_owned()) || n % every() == offset % every()) {
-            return;
+        if live.is_dir() {
+            leave(&live, &copy, state, Key::new(n as u64));
         }
-        leave(&live, &copy, state, Key::new(n as u64));
-        if counted.fetch_add(1, Ordering::SeqCst) % AGAIN.0 == AGAIN.0 - 1 {
-            second.fetch_add(cut_the_recovery(&told, &copy, leave), Ordering::SeqCst);
+        if !copy.join(JOURNAL).exists() {
+            counted.lock().unwrap().too_early += 1;
+        } else {
+            let first = !counted.lock().unwrap().cuts.contains_key(what);
+            if first || n % every() == offset % every() {
+                cut_the_recovery(&told, &copy, (leave, n, what), &counted);
+            }
+            let control = n % (places / CONTROLS) == places / CONTROLS - 1;
+            told.goes_on(&copy, control, &counted, &format!("place {n} ({what})"));
+            *counted.lock().unwrap().cuts.entry(what.to_owned()).or_default() += 1;
         }
-        told.goes_on(&copy, &format!("place {n} ({what})"));
         let _ = fs::remove_dir_all(&copy);
     });
     let run = night.create(&runs, disk.clone()).unwrap();
-    night.write(&run).unwrap();
+    night.write(&run, usize::MAX).unwrap();
     run.close().unwrap();
-    night.same_products(run.path(), "not cut");
-    (disk.points(), cuts.load(Ordering::SeqCst), again.load(Ordering::SeqCst))
+    assert_eq!(disk.points(), places);
+    assert_eq!(content(run.path()), night.content, "not cut");
+    tally
 }
 
-/// Cuts the recovery of a copy of `cut` and what follows; gives the number of cuts.
-fn cut_the_recovery(night: &Arc<Recorded>, cut: &Path, leave: fn(&Path, &Path, &State, Key)) -> usize {
-    if !cut.join("journal.sqlite").exists() {
-        return 0;
-    }
+/// Cuts the recovery of a copy of `cut` at each of its places, to the first record after it.
+fn cut_the_recovery(
+    night: &Arc<Recorded>,
+    cut: &Path,
+    (leave, n, what): (Way, usize, &str),
+    tally: &Arc<Mutex<Tally>>,
+) {
     let (live, again) = (cut.with_extension("live"), cut.with_extension("again"));
     cut::copy(cut, &live);
-    let cuts = Arc::new(AtomicUsize::new(0));
-    let (told, source, counted) = (Arc::clone(night), live.clone(), Arc::clone(&cuts));
+    let recovers = Arc::new(AtomicBool::new(true));
+    let (told, source, counted) = (Arc::clone(night), live.clone(), Arc::clone(tally));
+    let (first, still) = (what.to_owned(), Arc::clone(&recovers));
     let disk = CutDisk::new(move |m, what, state| {
-        if m % AGAIN.1 == 0 && m < 4 * AGAIN.1 {
-            leave(&source, &again, state, Key::new(m as u64));
-            told.goes_on(&again, &format!("in the recovery, place {m} ({what})"));
+        if still.load(Ordering::SeqCst) {
+            leave(&source, &again, state, Key::new((n * 1000 + m) as u64));
+            let place = format!("place {n} ({first}), then place {m} of its recovery ({what})");
+            told.goes_on(&again, false, &counted, &place);
             let _ = fs::remove_dir_all(&again);
-            counted.fetch_add(1, Ordering::SeqCst);
+            *counted.lock().unwrap().again.entry((first.clone(), what.to_owned())).or_default() += 1;
         }
     });
     let run = RunDir::resume_on(&live, disk).unwrap();
-    night.write(&run).unwrap();
-    run.close().unwrap();
+    night.write(&run, 1).unwrap();
+    recovers.store(false, Ordering::SeqCst);
+    drop(run);
     fs::remove_dir_all(&live).unwrap();
-    cuts.load(Ordering::SeqCst)
 }
 
 #[test]
@@ -241,14 +330,14 @@ fn a_night_cut_by_a_kill_or_by_the_power_gives_the_same_products() {
         assert!(night.products.contains_key(wanted), "{wanted}: {:?}", night.products.keys());
     }
     assert!(night.products.keys().any(|name| name.starts_with("products/plots/")));
+    let places = places(&night);
     let ways: [(&str, Way); 2] = [("kill", killed), ("power", powerless)];
     std::thread::scope(|scope| {
         for (offset, (name, leave)) in ways.into_iter().enumerate() {
             let night = &night;
             scope.spawn(move || {
-                let (places, cuts, again) = cut_everywhere(night, leave, offset * every() / 2);
-                eprintln!("{name}: {cuts} of {places} places cut, {again} times cut again in the recovery");
-                assert!(cuts >= 15 && again >= 4, "{name}: {cuts} {again}");
+                let tally = cut_everywhere(night, places, (leave, offset * every() / 2));
+                tally.lock().unwrap().judge(name, places);
             });
         }
     });

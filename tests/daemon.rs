@@ -88,6 +88,34 @@ fn killed_in_mid_run_it_goes_on_with_nothing_lost() {
 }
 
 #[test]
+fn a_run_whose_journal_is_damaged_holds_the_queue_and_is_not_begun_again() {
+    let lab = quick_lab(true);
+    let daemon = Daemon::start(&lab);
+    for (name, long) in [("long", true), ("next", false)] {
+        let scan = lab.scan(&format!("{name}.toml"), &scan_text(name, long));
+        assert_eq!(daemon.client(&["queue", "add", &text(&scan)]).code, 0);
+    }
+    let run = || daemon.json("GET", "/v1/status", "")["run"].clone();
+    daemon.until("a few frames are stored", || run()["stored"].as_u64().unwrap_or(0) >= 3);
+    let path = lab.path("runs").join(run()["run"].as_str().unwrap());
+    daemon.kill();
+    let log = path.join("journal.sqlite-wal");
+    let mut bytes = fs::read(&log).unwrap();
+    bytes[100] ^= 1;
+    fs::write(&log, bytes).unwrap();
+    let daemon = Daemon::start(&lab);
+    daemon.until("the queue is held", || daemon.json("GET", "/v1/queue", "")["held"].is_string());
+    let list = daemon.json("GET", "/v1/queue", "");
+    for words in ["journal.sqlite", "damaged", "--accept-loss", "goniod verify"] {
+        assert!(list["held"].as_str().unwrap().contains(words), "{words}: {list}");
+    }
+    assert_eq!(states(&daemon).into_iter().map(|(_, state)| state).collect::<Vec<_>>(), ["failed", "waiting"]);
+    let runs = fs::read_dir(lab.path("runs")).unwrap().flatten().filter(|e| e.path().join("plan.toml").exists());
+    assert_eq!(runs.count(), 1, "nothing was begun beside it");
+    assert_eq!(daemon.end(), Some(0));
+}
+
+#[test]
 fn a_second_daemon_and_a_run_beside_it_are_refused_with_the_holder() {
     let lab = quick_lab(false);
     let daemon = Daemon::start(&lab);
@@ -179,6 +207,15 @@ fn ended_by_sigterm_the_run_is_stopped_well_and_gone_on_with() {
     assert_eq!(daemon.end(), Some(0));
 }
 
+/// The terminal it was started from is closed.
+#[test]
+fn a_hangup_ends_it_as_well_as_sigterm_does() {
+    let lab = quick_lab(false);
+    let daemon = Daemon::start(&lab);
+    daemon.signal("HUP");
+    assert_eq!(daemon.wait(), Some(0));
+}
+
 #[test]
 fn ended_while_it_is_paused_or_ended_twice_it_ends_well_and_goes_on_at_the_next_start() {
     let lab = quick_lab(true);
@@ -227,6 +264,22 @@ fn the_bench_is_made_safe_by_hand_when_the_daemon_is_dead_and_not_behind_its_bac
     assert!(said.out.contains("confirmed"), "{}", said.out);
 }
 
+/// A daemon that is stopped takes connections and says nothing: who asks is told within seconds what to do.
+#[test]
+fn a_daemon_that_is_stuck_is_found_out_and_what_to_do_is_told() {
+    let lab = quick_lab(false);
+    let daemon = Daemon::start(&lab);
+    daemon.signal("STOP");
+    let said = daemon.client(&["safe"]);
+    daemon.signal("CONT");
+    assert_eq!(said.code, 1, "{}{}", said.out, said.err);
+    for words in ["does not answer within 3 s", "systemctl restart goniod", "goniod safe --direct"] {
+        assert!(said.err.contains(words), "{words} is not in {}", said.err);
+    }
+    assert_eq!(daemon.client(&["safe"]).code, 0, "it goes on");
+    assert_eq!(daemon.end(), Some(0));
+}
+
 /// The events of a run that is over, from the whole journal and from its middle.
 fn events_are_told_from_any_place_of_the_journal(daemon: &Daemon, run: &str) {
     let whole = daemon.listen(&format!("?since={run}/-1"), "event: run-ended");
@@ -254,6 +307,7 @@ fn what_is_no_request_is_refused_and_harms_nobody() {
         ("POST", "/v1/queue", "{\"scan\": 3}", 422, "body"),
         ("POST", "/v1/queue", "{\"scan\": \"a.toml\"}", 422, "absolute"),
         ("POST", "/v1/queue", "{\"scan\": \"/none.toml\"}", 422, "there is no such scan file"),
+        ("POST", "/v1/queue", "{\"scan\": \"/dev/zero\"}", 422, "no regular file"),
         ("POST", "/v1/queue", "{\"resume\": \"../../etc\"}", 409, "there is no run"),
         ("POST", "/v1/queue", &huge, 413, "body"),
         ("DELETE", "/v1/queue/7", "", 404, "no entry 7"),

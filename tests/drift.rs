@@ -4,11 +4,11 @@
 
 mod common;
 
-use common::Lab;
+use common::{Lab, text};
 use goniod::archive::RunDir;
 use goniod::archive::verify::verify;
 use goniod::config::check::{Options, check};
-use goniod::control::events::{Event, EventBus};
+use goniod::control::events::{Event, EventBus, LampNow};
 use goniod::control::sequencer::interlocks::Reason;
 use goniod::control::sequencer::run::Outcome;
 use goniod::control::sequencer::state::{Ending, State};
@@ -44,20 +44,8 @@ longest_s = 15.36
 frames = 1
 "#;
 
-/// Light monitor and interlocks of the instrument.
-const LIGHT: &str = r#"
-[light_monitor]
-driver = "newport-1830c"
-port = "sim:light-monitor"
-wavelength_nm = 550.0
-average = 4
-
-[interlocks]
-period_s = 10.0
-lamp_drift_warning = 0.08
-drift_per_view = 0.01
-
-[camera.ccd]"#;
+/// Interlocks of the instrument with a light monitor.
+const INTERLOCKS: &str = "period_s = 10.0\nlamp_drift_warning = 0.08\ndrift_per_view = 0.01";
 
 /// By how much the lamp drifts, and back, in the night.
 const DRIFT: f64 = 0.03;
@@ -75,7 +63,7 @@ struct Over {
 fn lab(light: bool) -> Lab {
     let lab = Lab::small();
     if light {
-        lab.edit("instrument.sim.toml", &[("\n[camera.ccd]", LIGHT)], true);
+        lab.add_light(INTERLOCKS);
     }
     lab
 }
@@ -200,6 +188,39 @@ fn exposures_wait_while_the_lamp_is_out() {
     assert!(retaken(&over) >= 1 && was_suspended_for(&over, Reason::LampUnsteady));
 }
 
+/// The lamp's warm-up is known: it is told when it may be struck, light before then is not trusted, and what was taken
+/// before and after it is one measurement.
+#[test]
+fn a_lamp_that_was_struck_again_is_waited_for_and_costs_no_truth() {
+    let steady = columns(&night(lab(true), async |_, _| ()));
+    let warming = lab(true);
+    let lamp = ("\n[holder]\n", "warm_up_s = 300.0\nrestrike_s = 700.0\n\n[holder]\n");
+    warming.edit("instrument.sim.toml", &[lamp], true);
+    let over = night(warming, async |twins, span| {
+        tokio::time::sleep(Duration::from_secs(300) + span.mul_f64(0.5)).await;
+        twins.inject(Fault::Lamp(LampFault::Off));
+        tokio::time::sleep(Duration::from_secs(1500)).await;
+        twins.inject(Fault::Lamp(LampFault::Strike));
+    });
+    is_whole(&over);
+    assert!(was_suspended_for(&over, Reason::LampOut) && was_suspended_for(&over, Reason::LampWarming));
+    let told = |wanted: fn(&LampNow) -> bool| {
+        over.events.iter().filter(|e| matches!(e, Event::Lamp { lamp } if wanted(lamp))).count()
+    };
+    assert_eq!(told(|lamp| matches!(lamp, LampNow::Cooling { .. })), 1);
+    assert_eq!((told(|lamp| *lamp == LampNow::Steady), told(|l| matches!(l, LampNow::Off { .. }))), (2, 1));
+    for (a, b) in steady.iter().zip(&columns(&over)) {
+        let far = (b.hemispherical - a.hemispherical).abs();
+        assert!(
+            far <= 2.0 * b.hemispherical_u,
+            "{} +- {}, not {}",
+            b.hemispherical,
+            b.hemispherical_u,
+            a.hemispherical
+        );
+    }
+}
+
 #[test]
 fn a_lamp_beyond_its_alarm_and_a_silent_monitor_end_the_run_safely() {
     let alarmed = lab(true);
@@ -218,4 +239,31 @@ fn a_lamp_beyond_its_alarm_and_a_silent_monitor_end_the_run_safely() {
         let message = over.outcome.message.unwrap();
         assert!(message.contains(word), "{message}");
     }
+}
+
+/// One short night in real time: a rehearsal burns no lamp.
+#[test]
+fn the_hours_of_the_lamp_are_warned_of_counted_and_shown() {
+    let lab = Lab::small();
+    let lamp = "serial = \"HMI-0042\"\nhours_at_start = 749.999\nrated_hours = 750.0\n\n[holder]\n";
+    lab.edit("instrument.sim.toml", &[("\n[holder]\n", lamp)], true);
+    let short = SCAN.replace("[0, 180], [20, 180], [40, 180], [50, 180], [60, 180]", "[0, 180]");
+    let short = short.replace("\"f4\", ", "").replace("15.36", "0.24") + "[reference]\nmode = \"irradiance\"\n";
+    let (scan, instrument) = (text(&lab.scan("short.toml", &short)), text(&lab.instrument()));
+    let warned = "will exceed its rated 750 h during this run";
+    let checked = lab.goniod(&["check", &scan, "--instrument", &instrument, "--json"]);
+    assert!(checked.err.contains(warned) && checked.out.contains(warned), "{}", checked.err);
+    let ran = lab.goniod(&["run", &scan, "--instrument", &instrument, "--json"]);
+    assert!(ran.code == 0 && ran.err.contains(warned), "{}\n{}", ran.out, ran.err);
+    let ran: serde_json::Value = serde_json::from_str(&ran.out).unwrap();
+    let kept = std::fs::read_to_string(lab.path("runs/lamp-HMI-0042.json")).unwrap();
+    let kept: serde_json::Value = serde_json::from_str(&kept).unwrap();
+    let (watched_s, took_s) = (kept["watched_s"].as_f64().unwrap(), ran["took_s"].as_f64().unwrap());
+    assert!(watched_s > 3.6 && watched_s <= took_s, "{watched_s} s of {took_s} s");
+    let said = lab.goniod(&["status", "--instrument", &instrument]);
+    assert!(said.out.contains("lamp HMI-0042: 750.0 h of 750 h rated"), "{}", said.out);
+    let report = std::fs::read_to_string(lab.path(ran["run"].as_str().unwrap()).join("products/report.html")).unwrap();
+    assert!(report.contains("lamp HMI-0042: 750.0 h at the beginning, 750.0 h at the end; rated 750 h"));
+    let over = lab.goniod(&["check", &scan, "--instrument", &instrument]);
+    assert!(over.err.contains("longer than its rated 750 h: replace it"), "{}", over.err);
 }

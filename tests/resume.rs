@@ -80,6 +80,89 @@ fn a_killed_run_is_gone_on_with_by_one_command_and_is_then_whole() {
     let again = lab.goniod(&["resume", "--runs", &runs, "--instrument", &instrument]);
     assert_eq!(again.code, 3, "{}{}", again.out, again.err);
     assert!(again.err.contains("every run is finished"), "{}", again.err);
+    let again = lab.goniod(&["resume", &text(&run), "--instrument", &instrument]);
+    assert!(again.code == 10 && again.err.contains("this run is finished"), "{}{}", again.out, again.err);
+    assert_eq!(lab.goniod(&["verify", &text(&run)]).code, 0, "and it is untouched");
+}
+
+/// Frames whose files went bad while nobody worked on the run; what else went bad nobody can take again.
+#[test]
+fn damaged_frames_are_taken_again_and_other_damage_is_refused() {
+    let lab = Lab::small();
+    let scan = text(&lab.scan("cut.toml", SCAN));
+    let (run, instrument) = (killed_after(&lab, &scan, "runs", 6), text(&lab.instrument()));
+    let resume = || lab.goniod(&["resume", &text(&run), "--instrument", &instrument, "--no-products"]);
+    let ccd = run.join("frames.zarr/ccd");
+    let mut frames: Vec<PathBuf> = fs::read_dir(&ccd).unwrap().flatten().map(|e| e.path()).collect();
+    frames.retain(|path| path.file_name().unwrap().to_string_lossy().starts_with("c."));
+    frames.sort();
+    fs::remove_file(&frames[0]).unwrap();
+    let mut bytes = fs::read(&frames[1]).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    fs::write(&frames[1], &bytes).unwrap();
+    fs::write(&frames[2], &bytes[..middle]).unwrap();
+    fs::write(ccd.join("zarr.json"), "{}").unwrap();
+    let plan = fs::read(run.join("inputs/scans/cut.toml")).unwrap();
+    fs::write(run.join("inputs/scans/cut.toml"), "other").unwrap();
+    let said = resume();
+    assert_eq!(said.code, 8, "{}{}", said.out, said.err);
+    assert!(
+        said.err.contains("inputs/scans/cut.toml was changed") && said.err.contains("goniod verify"),
+        "{}",
+        said.err
+    );
+    fs::write(run.join("inputs/scans/cut.toml"), plan).unwrap();
+    let said = resume();
+    assert_eq!(said.code, 0, "{}{}", said.out, said.err);
+    assert_eq!(lab.goniod(&["verify", &text(&run)]).code, 0);
+    let verdict = goniod::front::oracle::judge(&run).unwrap();
+    assert!(verdict.is_clean() && verdict.stored == verdict.planned, "{:?}", verdict.lines());
+    // Nothing is made from what is not what was measured: two frames in each other's place, a plan with another number.
+    let reduce = || lab.goniod(&["reduce", &text(&run)]);
+    let refused = |words: &str| {
+        let said = reduce();
+        assert!(said.code != 0 && said.err.contains(words), "{}{}", said.out, said.err);
+        assert!(!run.join("products").exists(), "nothing half-made");
+    };
+    let swap = |to: &Path| fs::rename(&frames[3], to).and_then(|()| fs::rename(&frames[4], &frames[3]));
+    let aside = run.join("aside");
+    swap(&aside).and_then(|()| fs::rename(&aside, &frames[4])).unwrap();
+    refused("not the frame that was stored here");
+    swap(&aside).and_then(|()| fs::rename(&aside, &frames[4])).unwrap();
+    let plan = fs::read_to_string(run.join("plan.toml")).unwrap();
+    fs::write(run.join("plan.toml"), plan.replace("thickness_mm = 4.0", "thickness_mm = 5.0")).unwrap();
+    refused("plan.toml was changed");
+    fs::write(run.join("plan.toml"), plan).unwrap();
+    assert_eq!(reduce().code, 0);
+}
+
+#[test]
+fn a_run_whose_log_is_damaged_is_refused_until_the_loss_is_accepted_and_is_then_whole() {
+    let lab = Lab::small();
+    let scan = text(&lab.scan("cut.toml", SCAN));
+    let (run, instrument) = (killed_after(&lab, &scan, "runs", 4), text(&lab.instrument()));
+    let (log, runs) = (run.join("journal.sqlite-wal"), text(&lab.path("runs")));
+    let mut bytes = fs::read(&log).unwrap();
+    let half = bytes.len() / 2;
+    bytes[half] ^= 1;
+    fs::write(&log, &bytes).unwrap();
+    let run = text(&run);
+    // The newest run is named, not passed over.
+    let named = ["resume", &run, "--instrument", &instrument];
+    let newest = ["resume", "--runs", &runs, "--instrument", &instrument];
+    for args in [&named[..], &newest[..]] {
+        let said = lab.goniod(args);
+        assert_eq!(said.code, 8, "{}{}", said.out, said.err);
+        assert!(said.err.contains("--accept-loss") && said.err.lines().count() == 1, "{}", said.err);
+    }
+    assert_eq!(fs::read(&log).unwrap(), bytes, "what is refused is not changed");
+    let accepted = ["resume", &run, "--instrument", &instrument, "--accept-loss", "--json"];
+    let said = lab.goniod(&accepted);
+    assert_eq!(said.code, 0, "{}{}", said.out, said.err);
+    let document = said.json();
+    assert_eq!((document["missing"].as_u64(), document["planned"].as_u64()), (Some(0), Some(0)));
+    assert_eq!(lab.goniod(&["verify", &run]).code, 0);
 }
 
 #[test]
@@ -105,6 +188,27 @@ fn a_run_is_not_gone_on_with_by_another_instrument_or_calibration_and_each_diffe
     fs::write(Path::new(&run).join("plan.toml"), "broken").unwrap();
     let said = lab.goniod(&["resume", &run, "--instrument", &instrument]);
     assert_eq!(said.code, 6, "{}{}", said.out, said.err);
+}
+
+/// Calibrations and spectra may lie anywhere: a run is gone on with wherever its instrument file names them.
+#[test]
+fn a_run_whose_files_lie_outside_the_instruments_folder_is_gone_on_with() {
+    let lab = Lab::small();
+    let config = lab.path("config");
+    let folders = ["calibration", "spectra", "sim"];
+    let named = fs::read_to_string(lab.instrument()).unwrap();
+    let inside = folders.iter().filter(|name| config.join(name).is_dir());
+    for name in inside {
+        fs::rename(config.join(name), lab.path(name)).unwrap();
+        assert!(named.contains(&format!("\"{name}/")), "the instrument file names nothing in {name}");
+        lab.edit("instrument.sim.toml", &[(&format!("\"{name}/"), &format!("\"../{name}/"))], true);
+    }
+    let scan = text(&lab.scan("cut.toml", &SCAN.replace("../sim/", "../../sim/")));
+    let (run, instrument) = (text(&killed_after(&lab, &scan, "runs", 4)), text(&lab.instrument()));
+    assert!(Path::new(&run).join("inputs/outside").is_dir(), "files from outside are kept apart");
+    let said = lab.goniod(&["resume", &run, "--instrument", &instrument, "--no-products"]);
+    assert_eq!(said.code, 0, "{}{}", said.out, said.err);
+    assert_eq!(lab.goniod(&["verify", &run]).code, 0);
 }
 
 /// A sample that only the command line named lies in the bench again.

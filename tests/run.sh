@@ -11,7 +11,7 @@ trap 'rm -rf "$work"' EXIT
 programs() {
     python3 - "$1" <<'PY'
 import json, os, sys
-LONG = ["labels", "cuts", "night", "first_light", "daemon", "validate", "gige", "v4l2"]
+LONG = ["night", "validate", "labels", "cut_products", "cuts", "resume", "daemon", "first_light", "peers", "simulate", "gige", "v4l2"]
 found = []
 for line in open(sys.argv[1]):
     built = json.loads(line) if line.startswith("{") else {}

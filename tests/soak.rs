@@ -57,5 +57,5 @@ fn memory_stands_still_through_a_night() {
 #[test]
 #[ignore = "takes many minutes"]
 fn memory_stands_still_over_a_hundred_thousand_frames() {
-    stands_still(4000, 100_000);
+    stands_still(3200, 100_000);
 }

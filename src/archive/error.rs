@@ -74,6 +74,12 @@ pub enum ArchiveError {
         /// What is missing or different.
         message: String,
     },
+    /// The run's folder was moved, replaced or removed while the run was under way.
+    #[error("{}: the run's folder is no longer the one that was opened; put it back where it was and go on with `goniod resume`", path.display())]
+    Moved {
+        /// Where it was.
+        path: PathBuf,
+    },
     /// The journal refuses or is damaged.
     #[error("{}: the journal gives an error: {message}; `goniod verify` on the run tells whether it is damaged", path.display())]
     Journal {
@@ -81,6 +87,16 @@ pub enum ArchiveError {
         path: PathBuf,
         /// What SQLite says.
         message: String,
+    },
+    /// A run is not as it was written, beyond what can be taken again; nobody goes on with such a run unasked.
+    #[error("{}: damaged, this is not as it was written: {message}; {advice}", path.display())]
+    Damaged {
+        /// The journal file, a frame's file or the run directory.
+        path: PathBuf,
+        /// What is changed.
+        message: String,
+        /// What can be done.
+        advice: &'static str,
     },
     /// A frame does not fit its array, or no array has that name.
     #[error("{what}: the frame store of this run has no place for it")]
@@ -121,6 +137,12 @@ impl ArchiveError {
             _ if source.raw_os_error() == Some(EIO) => ArchiveError::Failing { path, message: source.to_string() },
             _ => ArchiveError::Io { what, path, message: source.to_string() },
         }
+    }
+
+    /// What is not as it was written, and cannot be taken again.
+    pub(super) fn damaged(path: &Path, message: impl Into<String>) -> ArchiveError {
+        let advice = "`goniod verify` lists all of it; put the files back from a copy, or measure the scan anew";
+        ArchiveError::Damaged { path: path.to_path_buf(), message: message.into(), advice }
     }
 
     /// The error of a journal operation.

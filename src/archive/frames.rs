@@ -96,13 +96,35 @@ impl FrameStore {
     /// # Errors
     /// [`ArchiveError::NoPlace`] outside the array, [`ArchiveError::Codec`] for a damaged chunk.
     pub fn read_frame(&self, camera: &str, array_index: u32, exposure_index: u32) -> Result<Option<Pixels>> {
+        self.read(camera, array_index, exposure_index, None)
+    }
+
+    /// As [`FrameStore::read_frame`], and proves by its digest that it is the frame that was stored in this place.
+    ///
+    /// # Errors
+    /// As [`FrameStore::read_frame`], and [`ArchiveError::Damaged`] for any other file.
+    pub fn read_proven(&self, camera: &str, array: u32, exposure: u32, digest: &str) -> Result<Option<Pixels>> {
+        self.read(camera, array, exposure, Some(digest))
+    }
+
+    fn read(
+        &self,
+        camera: &str,
+        array_index: u32,
+        exposure_index: u32,
+        digest: Option<&str>,
+    ) -> Result<Option<Pixels>> {
         let array = self.place(camera, array_index, exposure_index)?;
         let path = self.chunk_path(camera, array_index, exposure_index);
-        match std::fs::read(&path) {
-            Ok(encoded) => array.decode(encoded, &path).map(Some),
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(None),
-            Err(e) => Err(ArchiveError::io("read the frame", &path, &e)),
+        let encoded = match std::fs::read(&path) {
+            Ok(encoded) => encoded,
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+            Err(e) => return Err(ArchiveError::io("read the frame", &path, &e)),
+        };
+        if digest.is_some_and(|digest| sha256_hex(&encoded) != digest) {
+            return Err(ArchiveError::damaged(&path, "it is not the frame that was stored here"));
         }
+        array.decode(encoded, &path).map(Some)
     }
 
     /// The file of one frame, whether it is there or not.

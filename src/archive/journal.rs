@@ -9,7 +9,7 @@ use super::layout::{ArrayLayout, RunLayout, StepLayout};
 use super::marks::Marks;
 use super::rows::{EventRow, FileRow, FrameRow, StepRow, StepState, Summary};
 use super::space::Ballast;
-use crate::digest::sha256_hex;
+use crate::digest::TextDigest;
 use rusqlite::config::DbConfig;
 use rusqlite::{Connection, OpenFlags, Params, Row, Transaction, params};
 use std::fmt::Write;
@@ -37,6 +37,13 @@ CREATE TABLE frames(step INTEGER PRIMARY KEY REFERENCES steps(number), digest TE
   attempts INTEGER NOT NULL, rejected INTEGER NOT NULL);
 CREATE TABLE events(seq INTEGER PRIMARY KEY, utc_us INTEGER NOT NULL, kind TEXT NOT NULL, json TEXT NOT NULL);
 ";
+
+const STEPS: &str = "SELECT number, view, camera, array_index, exposure_index, exposure_us, state, reason
+  FROM steps ORDER BY number";
+const FRAME_ROWS: &str =
+    "SELECT step, digest, bytes, utc_us, device_frame_id, exposure_us, camera_serial, attempts, rejected
+  FROM frames ORDER BY step";
+const EVENTS: &str = "SELECT seq, utc_us, kind, json FROM events ORDER BY seq";
 
 /// The open journal of a run.
 pub struct Journal {
@@ -180,6 +187,24 @@ impl Journal {
         })
     }
 
+    /// Puts steps back to planned and forgets their frames, each with its event; all or none.
+    ///
+    /// # Errors
+    /// [`ArchiveError::Journal`] also for a step that does not exist, and the disk's kinds.
+    pub fn plan_steps_again(&mut self, steps: &[(u32, EventRow)]) -> Result<()> {
+        if steps.is_empty() {
+            return Ok(());
+        }
+        self.transaction(|tx| {
+            for (step, event) in steps {
+                tx.execute("DELETE FROM frames WHERE step = ?1", [step])?;
+                set_state(tx, *step, "planned", "")?;
+                insert_event(tx, event)?;
+            }
+            Ok(())
+        })
+    }
+
     /// Commits one event.
     ///
     /// # Errors
@@ -223,9 +248,7 @@ impl Journal {
     /// # Errors
     /// [`ArchiveError::Journal`].
     pub fn steps(&self) -> Result<Vec<StepRow>> {
-        let sql = "SELECT number, view, camera, array_index, exposure_index, exposure_us, state, reason
-                   FROM steps ORDER BY number";
-        self.rows(sql, [], read_step)
+        self.rows(STEPS, [], read_step)
     }
 
     /// All frames in the order of their steps.
@@ -233,21 +256,7 @@ impl Journal {
     /// # Errors
     /// [`ArchiveError::Journal`].
     pub fn frames(&self) -> Result<Vec<FrameRow>> {
-        let sql = "SELECT step, digest, bytes, utc_us, device_frame_id, exposure_us, camera_serial, attempts, rejected
-                   FROM frames ORDER BY step";
-        self.rows(sql, [], |r| {
-            Ok(FrameRow {
-                step: r.get(0)?,
-                digest: r.get(1)?,
-                bytes: r.get::<_, i64>(2)? as u64,
-                utc_us: r.get(3)?,
-                device_frame_id: r.get::<_, i64>(4)? as u64,
-                exposure_us: r.get::<_, i64>(5)? as u64,
-                camera_serial: r.get(6)?,
-                attempts: r.get(7)?,
-                rejected: r.get(8)?,
-            })
-        })
+        self.rows(FRAME_ROWS, [], read_frame)
     }
 
     /// All events in their order.
@@ -255,10 +264,7 @@ impl Journal {
     /// # Errors
     /// [`ArchiveError::Journal`].
     pub fn events(&self) -> Result<Vec<EventRow>> {
-        self.rows("SELECT seq, utc_us, kind, json FROM events ORDER BY seq", [], |r| {
-            let seq: i64 = r.get(0)?;
-            Ok(EventRow { seq: seq as u64, utc_us: r.get(1)?, kind: r.get(2)?, json: r.get(3)? })
-        })
+        self.rows(EVENTS, [], read_event)
     }
 
     /// The sequence number the next event gets.
@@ -294,11 +300,35 @@ impl Journal {
     /// # Errors
     /// [`ArchiveError::Journal`].
     pub fn row_digest(&self) -> Result<String> {
-        let mut text = format!("{} {}\n", self.value("run_id")?, self.value("plan_hash")?);
-        // Writing to a String cannot fail.
-        let _ = writeln!(text, "{:?}\n{:?}\n{:?}", self.files()?, self.arrays()?, self.steps()?);
-        let _ = writeln!(text, "{:?}\n{:?}", self.frames()?, self.events()?);
-        Ok(sha256_hex(text.as_bytes()))
+        let mut text = TextDigest::default();
+        // Writing to a digest cannot fail.
+        let _ = writeln!(text, "{} {}", self.value("run_id")?, self.value("plan_hash")?);
+        let _ = writeln!(text, "{:?}\n{:?}", self.files()?, self.arrays()?);
+        // Row by row: of a long night they are too many to be held at once.
+        self.write_rows(&mut text, STEPS, read_step)?;
+        self.write_rows(&mut text, FRAME_ROWS, read_frame)?;
+        self.write_rows(&mut text, EVENTS, read_event)?;
+        Ok(text.hex())
+    }
+
+    /// Writes rows as the list of them would be written.
+    fn write_rows<T: std::fmt::Debug>(
+        &self,
+        text: &mut TextDigest,
+        sql: &str,
+        read: impl Fn(&Row<'_>) -> rusqlite::Result<T>,
+    ) -> Result<()> {
+        let write = || {
+            let mut statement = self.db.prepare(sql)?;
+            let mut separator = "[";
+            for row in statement.query_map([], read)? {
+                let _ = write!(text, "{separator}{:?}", row?);
+                separator = ", ";
+            }
+            let _ = writeln!(text, "{}]", if separator == "[" { "[" } else { "" });
+            Ok(())
+        };
+        write().map_err(|e| self.error(&e))
     }
 
     /// SQLite's own check of pages and indices; empty when all is well.
@@ -447,6 +477,25 @@ fn insert_event(tx: &Transaction<'_>, e: &EventRow) -> rusqlite::Result<()> {
     let seq = e.seq as i64;
     tx.prepare_cached("INSERT INTO events VALUES(?1, ?2, ?3, ?4)")?.execute(params![seq, e.utc_us, e.kind, e.json])?;
     Ok(())
+}
+
+fn read_event(r: &Row<'_>) -> rusqlite::Result<EventRow> {
+    let seq: i64 = r.get(0)?;
+    Ok(EventRow { seq: seq as u64, utc_us: r.get(1)?, kind: r.get(2)?, json: r.get(3)? })
+}
+
+fn read_frame(r: &Row<'_>) -> rusqlite::Result<FrameRow> {
+    Ok(FrameRow {
+        step: r.get(0)?,
+        digest: r.get(1)?,
+        bytes: r.get::<_, i64>(2)? as u64,
+        utc_us: r.get(3)?,
+        device_frame_id: r.get::<_, i64>(4)? as u64,
+        exposure_us: r.get::<_, i64>(5)? as u64,
+        camera_serial: r.get(6)?,
+        attempts: r.get(7)?,
+        rejected: r.get(8)?,
+    })
 }
 
 fn read_step(r: &Row<'_>) -> rusqlite::Result<StepRow> {

@@ -9,7 +9,7 @@
 use super::disk::{Disk, write_on};
 use super::error::{ArchiveError, Result};
 use super::wal::{HEADER, Walk};
-use crate::digest::sha256_hex;
+use crate::digest::{sha256_hex, sha256_of_file};
 use std::fs::{self, File};
 use std::io::{ErrorKind, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -30,6 +30,16 @@ pub(super) struct Marks {
     disk: Arc<dyn Disk>,
     generation: Option<u64>,
     walk: Option<Walk>,
+}
+
+/// A change of an open journal since it was written.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Damage {
+    /// What is changed, as a sentence without its end.
+    pub(super) what: String,
+    /// True where only the log or the mark of its end is changed: what SQLite then still reads is a whole beginning of
+    /// the journal.
+    pub(super) of_log: bool,
 }
 
 /// Where a run's files were when they were read.
@@ -70,8 +80,8 @@ impl Marks {
     /// Sets the base for the file as it is now. Without one, less can be judged; nothing else suffers.
     pub(super) fn set(&mut self) {
         let set = |generation| {
-            let bytes = fs::read(&self.journal).map_err(|e| ArchiveError::io("read", &self.journal, &e))?;
-            write_on(&*self.disk, &self.path(BASE), base_text(generation, &sha256_hex(&bytes)).as_bytes())
+            let digest = sha256_of_file(&self.journal).map_err(|e| ArchiveError::io("read", &self.journal, &e))?;
+            write_on(&*self.disk, &self.path(BASE), base_text(generation, &digest).as_bytes())
         };
         if self.generation.is_some_and(|generation| set(generation).is_err()) {
             let _ = self.disk.discard(&self.path(BASE));
@@ -115,11 +125,21 @@ impl Marks {
     }
 }
 
-/// What is changed in `journal` and its log since they were written, as sentences; it is not closed, and may be in use.
+/// Takes the mark of the log's end away, durably: as much of the log counts from now on as is whole.
+///
+/// # Errors
+/// The disk's kinds.
+pub(super) fn accept_end(journal: &Path, disk: &dyn Disk) -> Result<()> {
+    let head = journal.with_file_name(HEAD);
+    let gone = disk.discard(&head).and_then(|()| disk.sync_folder(journal.parent().unwrap_or(Path::new(""))));
+    gone.map_err(|e| ArchiveError::io("remove", &head, &e))
+}
+
+/// What is changed in `journal` and its log since they were written; it is not closed, and may be in use.
 ///
 /// # Errors
 /// [`ArchiveError::Io`] and the disk's kinds for a file that cannot be read.
-pub(super) fn check(journal: &Path) -> Result<Vec<String>> {
+pub(super) fn check(journal: &Path) -> Result<Vec<Damage>> {
     let read = |path: PathBuf| match fs::read(&path) {
         Err(e) if e.kind() == ErrorKind::NotFound => Ok(None),
         read => read.map(Some).map_err(|e| ArchiveError::io("read", &path, &e)),
@@ -138,15 +158,16 @@ pub(super) fn check(journal: &Path) -> Result<Vec<String>> {
     Ok(Vec::new())
 }
 
-fn judge(seen: &Seen) -> Vec<String> {
+fn judge(seen: &Seen) -> Vec<Damage> {
     let Some(base) = &seen.base else { return Vec::new() };
     let mut found = Vec::new();
     let generation = generation_of(base);
     let expected = generation.map(|g| base_text(g, &sha256_hex(&seen.journal)));
     if !is_own(base) {
-        found.push(format!("{BASE} was changed"));
+        found.push(Damage { what: format!("{BASE} was changed"), of_log: false });
     } else if expected.as_deref().map(str::as_bytes) != Some(base) {
-        found.push("the file was changed since its log was last folded into it".to_owned());
+        let what = "the file was changed since its log was last folded into it".to_owned();
+        found.push(Damage { what, of_log: false });
     }
     // What a power cut has left of a head has no end.
     let cut = seen.head.len() != HEAD_BYTES || seen.head.last() == Some(&0);
@@ -154,13 +175,14 @@ fn judge(seen: &Seen) -> Vec<String> {
         return found;
     }
     if !is_own(&seen.head) {
-        found.push(format!("{HEAD} was changed"));
+        found.push(Damage { what: format!("{HEAD} was changed"), of_log: true });
     } else if generation_of(&seen.head) == generation
         && let Some((salts, end)) = claim(&seen.head)
     {
         let whole = Walk::through(&seen.log).filter(|walk| walk.salts() == salts).map_or(0, |walk| walk.end());
         if whole < end {
-            found.push(format!("its log was changed: {end} bytes were committed, the first {whole} are whole"));
+            let what = format!("its log was changed: {end} bytes were committed, the first {whole} are whole");
+            found.push(Damage { what, of_log: true });
         }
     }
     found

@@ -18,7 +18,7 @@
 //! - [`layout`]: the shape of a run: arrays and steps
 //! - `marks`: what covers the bits of a journal that is open, `wal`: how far its log is whole
 //! - [`seal`]: digests over the closed journal and the products
-//! - [`verify`]: proves a run whole
+//! - [`verify`]: proves a run whole; [`mend`]: makes good what can be before a run is gone on with
 //! - [`disk`]: the one door to the file system; the atomic write
 //! - [`space`]: room proven before the start, ballast for the end
 //! - [`error`]: what can go wrong, in the words of the person who must act
@@ -29,6 +29,7 @@ pub mod frames;
 pub mod journal;
 pub mod layout;
 mod marks;
+pub mod mend;
 pub mod rows;
 pub mod rundir;
 pub mod seal;

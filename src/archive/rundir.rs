@@ -8,9 +8,11 @@ use super::layout::RunLayout;
 use super::rows::{EventRow, FileRow, FrameRow};
 use super::seal::{PRODUCTS, SEAL, journal_seal};
 use super::space::Ballast;
-use crate::digest::sha256_hex;
+use super::verify::journal_must_be_sound;
+use crate::digest::{sha256_hex, sha256_of_file};
 use goniod_drivers::frame::Pixels;
 use std::fs;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Component, Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -39,6 +41,8 @@ pub struct RunDir {
     journal: Mutex<Option<Journal>>,
     disk: Arc<dyn Disk>,
     writable: bool,
+    /// The journal's file as it was opened.
+    opened: Option<(u64, u64)>,
 }
 
 // === impl RunDir ===
@@ -85,11 +89,11 @@ impl RunDir {
         RunDir::with_journal(path, Journal::open_read_only(&journal_of(path)?)?, Arc::new(RealDisk), false)
     }
 
-    /// Opens a run that was closed or cut short, to go on with it; its seal is broken until it is closed again, and what
+    /// Opens a run that was closed or cut short, to go on with it; its journal must be as it was written. Its seal is broken until it is closed again, and what
     /// unfinished writes left is removed.
     ///
     /// # Errors
-    /// As [`RunDir::open`], and the disk's kinds.
+    /// As [`RunDir::open`], [`ArchiveError::Damaged`], and the disk's kinds.
     pub fn resume(path: &Path) -> Result<RunDir> {
         RunDir::resume_on(path, Arc::new(RealDisk))
     }
@@ -99,7 +103,7 @@ impl RunDir {
     /// # Errors
     /// As [`RunDir::resume`].
     pub fn resume_on(path: &Path, disk: Arc<dyn Disk>) -> Result<RunDir> {
-        journal_of(path)?;
+        journal_must_be_sound(path)?;
         let seal = path.join(SEAL);
         if seal.exists() {
             // Durably gone before the journal changes: a seal beside another journal would tell of damage.
@@ -145,7 +149,7 @@ impl RunDir {
     /// `event` makes the journal's event from what was stored. Blocks: call it on a blocking thread.
     ///
     /// # Errors
-    /// Those of [`FrameStore::put_frame`] and [`Journal::frame_stored`]; the step then stays planned.
+    /// Those of [`FrameStore::put_frame`] and [`Journal::frame_stored`], [`ArchiveError::Moved`]; the step then stays planned.
     pub fn store(
         &self,
         place: (&str, u32, u32),
@@ -154,6 +158,7 @@ impl RunDir {
         event: impl FnOnce(&Stored) -> EventRow,
     ) -> Result<FrameRow> {
         let (camera, array_index, exposure_index) = place;
+        self.still_there()?;
         let put = self.store.put_frame(camera, array_index, exposure_index, pixels);
         if put.as_ref().is_err_and(ArchiveError::is_full) {
             // What is told of the end needs room now.
@@ -165,7 +170,22 @@ impl RunDir {
         // The file stays even when the commit fails: a failing disk may have kept the row after all. Without a row it is
         // left over, and the step's next frame replaces it.
         self.with(|journal| journal.frame_stored(&row, &event))?;
+        self.ballast().take_again();
         Ok(row)
+    }
+
+    /// Removes the file of a frame that no row tells of: taken, then forgotten for a retake or by a process that was cut short.
+    ///
+    /// # Errors
+    /// The disk's kinds.
+    pub fn forget_frame(&self, camera: &str, array_index: u32, exposure_index: u32) -> Result<()> {
+        let path = self.store.chunk_path(camera, array_index, exposure_index);
+        if !path.exists() {
+            return Ok(());
+        }
+        let folder = path.parent().unwrap_or(&path);
+        let removed = self.disk.discard(&path).and_then(|()| self.disk.sync_folder(folder));
+        removed.map_err(|e| ArchiveError::io("remove a forgotten frame", &path, &e))
     }
 
     /// Closes the journal into its one file and seals it with digests. A run opened to read is only let go.
@@ -181,8 +201,8 @@ impl RunDir {
         let rows = journal.row_digest()?;
         journal.close()?;
         let file = self.path.join(JOURNAL);
-        let bytes = fs::read(&file).map_err(|e| ArchiveError::io("read", &file, &e))?;
-        write_on(&*self.disk, &self.path.join(SEAL), journal_seal(&sha256_hex(&bytes), &rows).as_bytes())
+        let digest = sha256_of_file(&file).map_err(|e| ArchiveError::io("read", &file, &e))?;
+        write_on(&*self.disk, &self.path.join(SEAL), journal_seal(&digest, &rows).as_bytes())
     }
 
     /// Bytes that may still be written beside this run.
@@ -191,6 +211,19 @@ impl RunDir {
     /// [`ArchiveError::Io`].
     pub fn free(&self) -> Result<u64> {
         self.disk.free(&self.path).map_err(|e| ArchiveError::io("tell the free room of", &self.path, &e))
+    }
+
+    /// Writes one of the run's own small files again, as it was.
+    pub(super) fn put_back(&self, name: &Path, bytes: &[u8]) -> Result<()> {
+        write_on(&*self.disk, &self.path.join(name), bytes)
+    }
+
+    /// The journal that is open lies where it was opened: else rows would go to a file that nobody finds.
+    fn still_there(&self) -> Result<()> {
+        if self.opened.is_some() && self.opened == identity(&self.path) {
+            return Ok(());
+        }
+        Err(ArchiveError::Moved { path: self.path.clone() })
     }
 
     fn to_write(path: &Path, disk: Arc<dyn Disk>) -> Result<RunDir> {
@@ -218,13 +251,19 @@ impl RunDir {
 
     fn with_journal(path: &Path, journal: Journal, disk: Arc<dyn Disk>, writable: bool) -> Result<RunDir> {
         let store = FrameStore::new(path, &journal.arrays()?, Arc::clone(&disk))?;
-        Ok(RunDir { path: path.to_path_buf(), store, journal: Mutex::new(Some(journal)), disk, writable })
+        let opened = identity(path);
+        Ok(RunDir { path: path.to_path_buf(), store, journal: Mutex::new(Some(journal)), disk, writable, opened })
     }
 
     fn lock(&self) -> MutexGuard<'_, Option<Journal>> {
         // A thread that panicked has rolled its transaction back; the journal itself is sound.
         self.journal.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// Device and inode of the journal in a run's folder.
+fn identity(path: &Path) -> Option<(u64, u64)> {
+    fs::metadata(path.join(JOURNAL)).ok().map(|meta| (meta.dev(), meta.ino()))
 }
 
 fn journal_of(path: &Path) -> Result<PathBuf> {

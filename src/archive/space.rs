@@ -12,6 +12,9 @@ pub const BALLAST: &str = "journal.ballast";
 /// Its size: the journal's last pages, their log and the seal many times over.
 pub const BALLAST_BYTES: u64 = 1 << 20;
 
+/// Free room from which on a ballast that was given back is taken again.
+const ROOM_AGAIN: u64 = 32 * BALLAST_BYTES;
+
 /// Room asked for, relative to the forecast: compression helps, other programs write too.
 pub const FORECAST_MARGIN: f64 = 1.2;
 
@@ -63,6 +66,14 @@ impl Ballast {
         }
     }
 
+    /// Puts a ballast that was given back there again, once there is room for much more than it.
+    pub(super) fn take_again(&self) {
+        let folder = self.path.parent().unwrap_or(Path::new(""));
+        if !self.path.exists() && self.disk.free(folder).is_ok_and(|free| free >= ROOM_AGAIN) {
+            self.take();
+        }
+    }
+
     /// Gives its room back; true when there was some.
     pub(super) fn release(&self) -> bool {
         let gone = || -> io::Result<()> {
@@ -107,5 +118,9 @@ mod tests {
         assert_eq!(std::fs::metadata(run.path().join(BALLAST)).unwrap().len(), BALLAST_BYTES);
         assert!(ballast.release());
         assert!(!ballast.release());
+        Ballast::of(run.path(), Arc::new(Free(ROOM_AGAIN - 1))).take_again();
+        assert!(!run.path().join(BALLAST).exists(), "a disk that is nearly full keeps its room");
+        Ballast::of(run.path(), Arc::new(Free(ROOM_AGAIN))).take_again();
+        assert!(run.path().join(BALLAST).exists());
     }
 }

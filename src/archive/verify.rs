@@ -1,11 +1,11 @@
 //! Proves a run whole: every file, chunk and row against the digests taken when it was written.
 
-use super::disk::TEMPORARY_PREFIX;
+use super::disk::{Disk, TEMPORARY_PREFIX};
 use super::error::{ArchiveError, Result};
 use super::frames::FRAMES;
 use super::journal::Journal;
 use super::marks;
-use super::rows::{FrameRow, StepRow, StepState, Summary};
+use super::rows::{FileRow, FrameRow, StepRow, StepState, Summary};
 use super::rundir::{JOURNAL, RunDir};
 use super::seal::{PRODUCTS, PRODUCTS_SEAL, ProductFault, SEAL, check_products, journal_seal};
 use super::space::{BALLAST, ballast_changed};
@@ -14,6 +14,10 @@ use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
+
+/// What to do where the end of the log is lost.
+const TAKE_AGAIN: &str =
+    "`goniod verify` lists it, and `goniod resume RUN --accept-loss` takes the exposures whose rows are lost again";
 
 /// One thing that is not as it was written.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -81,19 +85,100 @@ impl Verification {
 /// [`ArchiveError::NotARun`] for a folder without journal, [`ArchiveError::Io`] when a folder cannot be read. Damage is no
 /// error: it is in the report.
 pub fn verify(path: &Path) -> Result<Verification> {
-    let journal_path = path.join(JOURNAL);
-    if !journal_path.is_file() {
+    let mut report = verify_journal(path)?;
+    if !report.sealed && ballast_changed(path) {
+        report.findings.push(Finding::FileChanged(BALLAST.to_owned()));
+    }
+    let checked = check_run(path, &mut report);
+    told(checked, &mut report)?;
+    Ok(report)
+}
+
+/// As [`verify`], of the journal alone: its file, log, marks and seal.
+///
+/// # Errors
+/// As [`verify`].
+fn verify_journal(path: &Path) -> Result<Verification> {
+    if !path.join(JOURNAL).is_file() {
         let message = format!("there is no {JOURNAL} in it");
         return Err(ArchiveError::NotARun { path: path.to_path_buf(), message });
     }
     let mut report = Verification { sealed: path.join(SEAL).exists(), ..Verification::default() };
-    if let Err(e) = check_journal(path, &mut report).and_then(|()| check_run(path, &mut report)) {
-        match e {
-            ArchiveError::Io { .. } | ArchiveError::Failing { .. } => return Err(e),
-            damage => report.findings.push(Finding::JournalDamaged(damage.to_string())),
-        }
-    }
+    let checked = check_journal(path, &mut report);
+    told(checked, &mut report)?;
     Ok(report)
+}
+
+/// Proves the journal at `path` as it was written, so that the run may be gone on with.
+///
+/// # Errors
+/// [`ArchiveError::Damaged`] for any damage, else as [`verify`].
+pub fn journal_must_be_sound(path: &Path) -> Result<()> {
+    let report = verify_journal(path)?;
+    let words = |finding: &Finding| match finding {
+        Finding::JournalDamaged(what) | Finding::SealBroken(what) => what.clone(),
+        other => format!("{other:?}"),
+    };
+    let found: Vec<String> = report.findings.iter().map(words).collect();
+    if found.is_empty() {
+        return Ok(());
+    }
+    let (journal, message) = (path.join(JOURNAL), found.join("; "));
+    if only_of_log(path, &report)? {
+        return Err(ArchiveError::Damaged { path: journal, message, advice: TAKE_AGAIN });
+    }
+    Err(ArchiveError::damaged(&journal, message))
+}
+
+/// Proves journal, plan and inputs as they were written, so that products may be made from them; frames are proven where
+/// they are read.
+///
+/// # Errors
+/// As [`journal_must_be_sound`].
+pub fn records_must_be_sound(path: &Path) -> Result<()> {
+    journal_must_be_sound(path)?;
+    let files = RunDir::open(path)?.with(|journal| journal.files())?;
+    let not_frames: Vec<FileRow> = files.into_iter().filter(|file| !file.path.starts_with(FRAMES)).collect();
+    match changed(path, &not_frames).next() {
+        Some(Finding::FileMissing(name)) => Err(ArchiveError::damaged(path, format!("{name} is gone"))),
+        Some(Finding::FileChanged(name)) => Err(ArchiveError::damaged(path, format!("{name} was changed"))),
+        _ => Ok(()),
+    }
+}
+
+/// Files of a run that are not as their rows tell.
+fn changed<'a>(path: &'a Path, files: &'a [FileRow]) -> impl Iterator<Item = Finding> + 'a {
+    files.iter().filter_map(move |file| match fs::read(path.join(&file.path)) {
+        Ok(bytes) if sha256_hex(&bytes) == file.digest => None,
+        Ok(_) => Some(Finding::FileChanged(file.path.clone())),
+        Err(_) => Some(Finding::FileMissing(file.path.clone())),
+    })
+}
+
+/// Where only the end of an open journal's log is damaged, lets as much count as is whole: the exposures whose rows are lost
+/// are planned again. Any other damage stays.
+///
+/// # Errors
+/// As [`verify`], and the disk's kinds.
+pub fn accept_loss(path: &Path, disk: &dyn Disk) -> Result<()> {
+    let report = verify_journal(path)?;
+    if only_of_log(path, &report)? { marks::accept_end(&path.join(JOURNAL), disk) } else { Ok(()) }
+}
+
+/// True where the log, or the mark of its end, is all that is damaged.
+fn only_of_log(path: &Path, report: &Verification) -> Result<bool> {
+    let damage = if report.sealed { Vec::new() } else { marks::check(&path.join(JOURNAL))? };
+    Ok(!damage.is_empty() && damage.iter().all(|d| d.of_log) && damage.len() == report.findings.len())
+}
+
+/// Takes damage that ended a check into the report.
+fn told(checked: Result<()>, report: &mut Verification) -> Result<()> {
+    match checked {
+        Ok(()) => {}
+        Err(e @ (ArchiveError::Io { .. } | ArchiveError::Failing { .. })) => return Err(e),
+        Err(damage) => report.findings.push(Finding::JournalDamaged(damage.to_string())),
+    }
+    Ok(())
 }
 
 fn check_journal(path: &Path, report: &mut Verification) -> Result<()> {
@@ -111,8 +196,7 @@ fn check_journal(path: &Path, report: &mut Verification) -> Result<()> {
         }
     };
     if !report.sealed {
-        report.findings.extend(marks::check(&file)?.into_iter().map(Finding::JournalDamaged));
-        report.findings.extend(ballast_changed(path).then(|| Finding::FileChanged(BALLAST.to_owned())));
+        report.findings.extend(marks::check(&file)?.into_iter().map(|damage| Finding::JournalDamaged(damage.what)));
     }
     let damage = journal.integrity()?;
     report.findings.extend(damage.into_iter().map(Finding::JournalDamaged));
@@ -131,13 +215,7 @@ fn check_run(path: &Path, report: &mut Verification) -> Result<()> {
     let (steps, frames, files, summary) = run.with(|j| Ok((j.steps()?, j.frames()?, j.files()?, j.summary()?)))?;
     report.summary = summary;
     report.steps = steps.len() as u32;
-    for file in &files {
-        match fs::read(path.join(&file.path)) {
-            Ok(bytes) if sha256_hex(&bytes) == file.digest => {}
-            Ok(_) => report.findings.push(Finding::FileChanged(file.path.clone())),
-            Err(_) => report.findings.push(Finding::FileMissing(file.path.clone())),
-        }
-    }
+    report.findings.extend(changed(path, &files));
     let mut known: BTreeSet<PathBuf> =
         files.iter().map(|f| path.join(&f.path)).filter(|f| f.starts_with(path.join(FRAMES))).collect();
     let frames: BTreeMap<u32, FrameRow> = frames.into_iter().map(|f| (f.step, f)).collect();
@@ -359,6 +437,21 @@ mod tests {
         run.with(|j| j.step_missing(2, "x", &event(2))).unwrap();
         run.close().unwrap();
         assert!(verify(&path).unwrap().whole());
+    }
+
+    #[test]
+    fn a_run_whose_folder_is_moved_away_takes_no_more_frames_and_makes_no_folder_anew() {
+        let runs = tempfile::tempdir().unwrap();
+        let files = [];
+        let new = NewRun { run_id: "r", plan_toml: "", files: &files, layout: &layout() };
+        let run = RunDir::create(runs.path(), &new).unwrap();
+        let store = || run.store(("ccd", 0, 0), &Pixels::U8(vec![1; 16]), row(0), |_| event(0));
+        fs::rename(run.path(), runs.path().join("elsewhere")).unwrap();
+        let stored = store();
+        assert!(matches!(stored, Err(ArchiveError::Moved { .. })), "{stored:?}");
+        assert!(!runs.path().join("r").exists());
+        fs::rename(runs.path().join("elsewhere"), run.path()).unwrap();
+        store().unwrap();
     }
 
     #[test]

@@ -6,6 +6,9 @@ use serde::{Deserialize, Serialize};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
+/// Bytes that the path of a Unix socket has at most (sun_path, unix(7)), the socket's name while it is made included.
+const LONGEST_SOCKET: usize = 103;
+
 /// Where the daemon lives; every key has a default.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -28,6 +31,14 @@ impl Daemon {
 
     /// Refuses an address that is none, or that other machines could reach.
     pub fn check(&self, source: &Source, issues: &mut Vec<Issue>) {
+        let socket = self.socket.as_ref().map_or(0, |path| path.as_os_str().len());
+        if socket > LONGEST_SOCKET {
+            let key = "daemon.socket";
+            let message = format!(
+                "`{key}` has {socket} bytes; a Unix socket's path has at most {LONGEST_SOCKET}, choose a shorter one"
+            );
+            issues.push(source.issue(Severity::Error, key, message));
+        }
         let key = "daemon.listen";
         let Some(listen) = &self.listen else { return };
         let hint = "write a loopback address with its port, such as \"127.0.0.1:8080\"";
@@ -45,6 +56,18 @@ mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
     use std::path::Path;
+
+    #[test]
+    fn a_socket_longer_than_the_kernel_takes_is_refused() {
+        let check = |n: usize| {
+            let path = format!("/{}", "s".repeat(n - 1));
+            let source = Source::parse(Path::new("i.toml"), format!("[daemon]\nsocket = \"{path}\"\n")).unwrap();
+            let mut issues = Vec::new();
+            Daemon { socket: Some(path.into()), ..Daemon::default() }.check(&source, &mut issues);
+            issues.len()
+        };
+        assert_eq!((check(LONGEST_SOCKET), check(LONGEST_SOCKET + 1)), (0, 1));
+    }
 
     fn faults(listen: &str) -> Vec<Issue> {
         let text = format!("[daemon]\nlisten = \"{listen}\"\n");

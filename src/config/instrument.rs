@@ -83,6 +83,10 @@ pub struct Lamp {
     pub restrike_s: Option<f64>,
     /// Hours the maker rates it for.
     pub rated_hours: Option<f64>,
+    /// Serial number of the lamp that is in; absent = its hours are not counted.
+    pub serial: Option<String>,
+    /// Hours that this lamp had burnt before its first run here.
+    pub hours_at_start: Option<f64>,
 }
 
 /// The sample holder.
@@ -357,6 +361,20 @@ pub struct Link<'a> {
     pub driver: &'a str,
     /// Path or address, or `sim:…`.
     pub port: &'a str,
+}
+
+// === impl Lamp ===
+
+impl Lamp {
+    /// Characters that a serial number may have at most: it names a file.
+    pub const SERIAL_CHARS: usize = 64;
+
+    /// True for letters, digits, `-`, `_` and `.`, beginning with a letter or digit.
+    pub fn is_serial(serial: &str) -> bool {
+        let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
+        let begins = serial.starts_with(|c: char| c.is_ascii_alphanumeric());
+        begins && serial.len() <= Lamp::SERIAL_CHARS && serial.chars().all(plain)
+    }
 }
 
 // === impl Instrument ===

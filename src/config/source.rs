@@ -2,6 +2,7 @@
 
 use super::error::{ConfigError, Issue, Severity};
 use std::collections::BTreeMap;
+use std::io::Read;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use toml::Spanned;
@@ -113,13 +114,18 @@ pub fn read_bytes(path: &Path, role: &'static str, largest: u64) -> Result<Vec<u
     if meta.is_dir() {
         return Err(unreadable("it is a folder; name the file in it".into()));
     }
-    if meta.len() > largest {
-        return Err(unreadable(format!(
-            "it has {} bytes, more than the {largest} allowed; is it the right file?",
-            meta.len()
-        )));
+    // A pipe would be waited for, a device read without end.
+    if !meta.is_file() {
+        return Err(unreadable("it is no regular file but a device, a pipe or a socket; name a file".into()));
     }
-    std::fs::read(path).map_err(|e| unreadable(format!("{e}; check the rights of the file")))
+    let mut bytes = Vec::new();
+    let read = std::fs::File::open(path).and_then(|file| file.take(largest + 1).read_to_end(&mut bytes));
+    read.map_err(|e| unreadable(format!("{e}; check the rights of the file")))?;
+    if bytes.len() as u64 > largest {
+        let size = meta.len().max(largest + 1);
+        return Err(unreadable(format!("it has {size} bytes, more than the {largest} allowed; is it the right file?")));
+    }
+    Ok(bytes)
 }
 
 /// The full name of `key` under `table`.

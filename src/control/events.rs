@@ -2,6 +2,7 @@
 
 use super::devices::safe::SafeResult;
 use super::frames::guard::Rejection;
+use super::lamp_hours::LampAge;
 use super::sequencer::interlocks::Trip;
 use super::sequencer::state::{Ending, State};
 use super::sequencer::verbs::Verb;
@@ -113,11 +114,21 @@ pub enum Event {
         /// Its standard uncertainty from the scatter of the readings that it is the mean of, watts.
         u_w: f64,
     },
+    /// The lamp is in another state, by the light monitor.
+    Lamp {
+        /// Which.
+        lamp: LampNow,
+    },
+    /// The hours of the lamp, at the beginning and the end of a run.
+    LampHours {
+        /// How old it is.
+        age: LampAge,
+    },
     /// The lamp drifted within a bracket: its frames are thrown away and the bracket is taken again.
     ViewRetaken {
         /// View of the plan.
         view: u32,
-        /// Relative change of the light monitor from its beginning to its end; absent where it is not known.
+        /// Largest relative change of the light monitor within it; absent where it is not known.
         change: Option<f64>,
     },
     /// The archive gave an error.
@@ -162,6 +173,33 @@ pub enum Event {
     },
 }
 
+/// The lamp as the light monitor sees it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "state", rename_all = "kebab-case")]
+pub enum LampNow {
+    /// Out and hot.
+    Cooling {
+        /// From then on an operator may strike it.
+        strike_from: UtcMicros,
+        /// Shortest time from ignition to steady light, seconds.
+        warm_up_s: f64,
+    },
+    /// Out and cool: an operator must strike it.
+    Off {
+        /// Shortest time from ignition to steady light, seconds.
+        warm_up_s: f64,
+    },
+    /// Burns.
+    Warming {
+        /// Not steady before then.
+        steady_from: UtcMicros,
+    },
+    /// Burns steadily: light measured now counts.
+    Steady,
+    /// Was steady; its light changes faster than allowed.
+    Drifting,
+}
+
 /// An event with its place in the run's history.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Stamped {
@@ -202,6 +240,8 @@ impl Event {
             Event::Asked { .. } => "asked",
             Event::Interlocks { .. } => "interlocks",
             Event::LightRead { .. } => "light-read",
+            Event::Lamp { .. } => "lamp",
+            Event::LampHours { .. } => "lamp-hours",
             Event::ViewRetaken { .. } => "view-retaken",
             Event::ArchiveError { .. } => "archive-error",
             Event::Progress { .. } => "progress",
@@ -258,6 +298,7 @@ mod tests {
             Event::FrameRejected { step: 1, reason: Rejection::Damaged },
             Event::SafeState { device: "shutter".to_owned(), outcome: SafeResult::Confirmed, began_ms: 0, ended_ms: 7 },
             Event::Progress { stored: 1, missing: 0, steps: 3 },
+            Event::Lamp { lamp: LampNow::Cooling { strike_from: UtcMicros(7), warm_up_s: 300.0 } },
         ];
         for event in events {
             let json = serde_json::to_value(&event).unwrap();

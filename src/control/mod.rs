@@ -3,5 +3,6 @@
 pub mod devices;
 pub mod events;
 pub mod frames;
+pub mod lamp_hours;
 pub mod plan;
 pub mod sequencer;

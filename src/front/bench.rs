@@ -26,7 +26,6 @@ use goniod_drivers::table;
 use goniod_drivers::transport::Connector;
 use goniod_drivers::units::{Degrees, DegreesPerSecond, Slot};
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 use std::time::Duration;
 use thiserror::Error;
 use tokio::sync::mpsc;
@@ -96,8 +95,6 @@ pub enum BenchError {
 pub struct Rehearsal {
     /// Seed instead of the instrument's.
     pub seed: Option<u64>,
-    /// Sample file instead of the scan's.
-    pub sample: Option<PathBuf>,
     /// What goes wrong on the way.
     pub faults: FaultMix,
 }

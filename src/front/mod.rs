@@ -5,6 +5,7 @@ pub mod api;
 pub mod bench;
 pub mod cli;
 pub mod daemon;
+pub mod lamp;
 pub mod night;
 #[cfg(feature = "sim")]
 pub mod oracle;

@@ -9,6 +9,7 @@ use crate::archive::{ArchiveError, NewRun, RunDir};
 use crate::config::check::Checked;
 use crate::config::instrument::{Changer, Instrument};
 use crate::control::events::EventBus;
+use crate::control::lamp_hours::LampLog;
 use crate::control::plan::Plan;
 use crate::control::plan::build::build;
 use crate::control::plan::document::{INPUTS, KeptFile, RunDocument};
@@ -118,6 +119,21 @@ fn policies(instrument: &Instrument) -> Policies {
     }
 }
 
+/// Where the hours of the lamp are kept: beside the run. A rehearsal burns none.
+fn lamp_log(instrument: &Instrument, night: &Night, clock: Clock) -> Option<LampLog> {
+    let runs_dir = night.path.parent().filter(|_| !clock.is_virtual())?;
+    LampLog::of(instrument, runs_dir)
+}
+
+/// What to know of the lamp's hours before a run in this folder.
+pub fn lamp_warning(instrument: &Instrument, plan: &Plan, runs_dir: &Path) -> Option<String> {
+    let log = LampLog::of(instrument, runs_dir)?;
+    match log.age() {
+        Ok(age) => age.warning(plan.forecast.total_s()),
+        Err(e) => Some(e.to_string()),
+    }
+}
+
 /// Carries the plan out.
 ///
 /// # Errors
@@ -139,7 +155,7 @@ pub async fn measure(
         attempts: Job::ATTEMPTS,
         recovery: policies(instrument),
         interlocks: instrument.interlocks.clone(),
-        light: LightRules::of(instrument),
+        light: LightRules { hours: lamp_log(instrument, night, clock), ..LightRules::of(instrument) },
         serials: night.serials.clone(),
     };
     run(&job, &mut opened.bench, Arc::clone(&night.run), clock, verbs, events).await.map_err(storage)
@@ -176,7 +192,8 @@ pub fn exit_of(outcome: &Outcome) -> Exit {
 
 /// An archive error as a failure of a command.
 pub fn storage(e: ArchiveError) -> Failure {
-    Failure::new(Exit::Storage, e.to_string())
+    let exit = if matches!(e, ArchiveError::Damaged { .. }) { Exit::Damaged } else { Exit::Storage };
+    Failure::new(exit, e.to_string())
 }
 
 /// A stamp as a calendar time.

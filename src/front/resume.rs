@@ -4,11 +4,17 @@ use super::cli::exit::Exit;
 use super::cli::output::Failure;
 use super::night::{Night, hold, storage};
 use crate::archive::RunDir;
+use crate::archive::disk::RealDisk;
+use crate::archive::mend::resume_mended;
+use crate::archive::rundir::JOURNAL;
+use crate::archive::verify::{accept_loss, journal_must_be_sound};
 use crate::config::check::{Checked, Spectra};
 use crate::config::instrument::Instrument;
 use crate::config::source::read_bytes;
 use crate::control::events::Event;
+use crate::control::frames::guard::Rejection;
 use crate::control::plan::document::{KeptFile, RunDocument};
+use crate::control::sequencer::recorder;
 use crate::digest::sha256_hex;
 use goniod_drivers::clock::UtcMicros;
 use std::collections::BTreeMap;
@@ -36,7 +42,7 @@ pub struct Unfinished {
 /// The newest run in `runs` that has exposures to do; `None` where every run is finished.
 ///
 /// # Errors
-/// A folder that cannot be read.
+/// A folder that cannot be read; a journal that cannot be read, in a run that is newer than what is found.
 pub fn newest_unfinished(runs: &Path) -> Result<Option<PathBuf>, Failure> {
     let entries = match std::fs::read_dir(runs) {
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
@@ -45,12 +51,22 @@ pub fn newest_unfinished(runs: &Path) -> Result<Option<PathBuf>, Failure> {
     let mut paths: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
     // A run's name begins with the moment it was started.
     paths.sort();
-    let unfinished = |path: &PathBuf| {
-        let dir = RunDir::open(path).ok()?;
-        let summary = dir.with(|journal| journal.summary()).ok()?;
-        (summary.planned > 0).then_some(())
-    };
-    Ok(paths.into_iter().rev().find(|path| unfinished(path).is_some()))
+    for path in paths.into_iter().rev().filter(|path| path.join(JOURNAL).is_file()) {
+        let dir = RunDir::open(&path).map_err(storage)?;
+        if dir.with(|journal| journal.summary()).map_err(storage)?.planned > 0 {
+            return Ok(Some(path));
+        }
+    }
+    Ok(None)
+}
+
+/// Lets a run whose log is damaged be gone on with from what of it is whole; of any other run nothing is changed.
+///
+/// # Errors
+/// A run that another process works on, a file that cannot be read or removed.
+pub fn accept_lost_end(run: &Path) -> Result<(), Failure> {
+    let _lock = hold(run)?;
+    accept_loss(run, &RealDisk).map_err(storage)
 }
 
 // === impl Unfinished ===
@@ -60,13 +76,14 @@ impl Unfinished {
     /// run needs its sample again: `sample`, or where the run found it.
     ///
     /// # Errors
-    /// Not a run; as bad input every difference of plan, instrument, calibration and spectra.
+    /// Not a run; a damaged journal; as bad input every difference of plan, instrument, calibration and spectra.
     pub fn compare(
         path: &Path,
         instrument: &Instrument,
         base: &Path,
         sample: Option<PathBuf>,
     ) -> Result<Unfinished, Failure> {
+        journal_must_be_sound(path).map_err(storage)?;
         let dir = RunDir::open(path).map_err(storage)?;
         let text = dir.plan_toml().map_err(storage)?;
         let document: RunDocument = toml::from_str(&text).map_err(|e| {
@@ -80,7 +97,7 @@ impl Unfinished {
         found.extend(instrument_differences(&document.instrument, instrument));
         let named = |file: &&KeptFile| !["scan", "instrument", "sample.simulated"].contains(&file.role.as_str());
         for file in document.files.iter().filter(named) {
-            found.extend(file_difference(file, &place(file, instrument, base)));
+            found.extend(file_difference(file, &place(file, &document, instrument, base)));
         }
         let kept_sample = document.files.iter().find(|f| f.role == "sample.simulated");
         let sample = kept_sample.map(|file| sample.unwrap_or_else(|| sample_place(file, &document, base)));
@@ -129,13 +146,20 @@ impl Unfinished {
         Ok(UtcMicros(events.iter().map(|e| e.utc_us).max().unwrap_or_default()))
     }
 
-    /// Opens the run to go on with it. With `missing`, exposures listed as missing are tried again too.
+    /// Opens the run to go on with it, proven against its digests: damaged frames are taken again, other damage ends it.
+    /// With `missing`, exposures listed as missing are tried again too.
     ///
     /// # Errors
-    /// A run that another process works on, a journal that cannot be written.
+    /// A run that another process works on, one that is damaged, a journal that cannot be written.
     pub fn night(self, missing: bool) -> Result<Night, Failure> {
         let lock = hold(&self.path)?;
-        let run = RunDir::resume(&self.path).map_err(storage)?;
+        let last = self.last_told()?;
+        let again =
+            |step, seq| recorder::row(seq, last, &Event::FrameRejected { step, reason: Rejection::FileDamaged });
+        let (run, mended) = resume_mended(&self.path, again).map_err(storage)?;
+        if !mended.steps.is_empty() {
+            tracing::warn!(run = %self.path.display(), frames = mended.steps.len(), "damaged frames are taken again");
+        }
         if missing {
             run.with(|journal| journal.plan_missing_again()).map_err(storage)?;
         }
@@ -150,10 +174,16 @@ impl Unfinished {
     }
 }
 
-/// Where a kept file lies now: beside the instrument file, or where the instrument file says.
-fn place(file: &KeptFile, i: &Instrument, base: &Path) -> PathBuf {
+/// Where a kept file lies now: beside the instrument file, or where the instrument file or a calibration says.
+fn place(file: &KeptFile, document: &RunDocument, i: &Instrument, base: &Path) -> PathBuf {
     if !file.name.starts_with("outside/") {
         return base.join(&file.name);
+    }
+    if let Some(name) = file.role.strip_prefix("responsivity.") {
+        // The digest of the calibration, which is compared too, proves that it still names this file.
+        let named = document.calibrations.get(name).map(|c| &c.responsivity.file);
+        let folder = i.camera.get(name).and_then(|c| c.calibration.parent()).unwrap_or(Path::new(""));
+        return base.join(folder).join(named.map_or(Path::new(&file.name), PathBuf::as_path));
     }
     let named = match file.role.as_str() {
         "simulation.bench" => i.simulation.as_ref().map(|s| &s.bench),
@@ -168,10 +198,14 @@ fn place(file: &KeptFile, i: &Instrument, base: &Path) -> PathBuf {
     base.join(named.map_or(Path::new(&file.name), PathBuf::as_path))
 }
 
-/// Where the sample of a simulated bench lies: beside the instrument file, or where the scan says.
+/// Where the sample of a simulated bench lies: beside the instrument file, or where the scan says, whose own folder is
+/// known where the scan lies beside the instrument file.
 fn sample_place(file: &KeptFile, document: &RunDocument, base: &Path) -> PathBuf {
-    let named = document.scan.sample.simulated.as_ref().filter(|_| file.name.starts_with("outside/"));
-    base.join(named.map_or(Path::new(&file.name), PathBuf::as_path))
+    let Some(named) = document.scan.sample.simulated.as_ref().filter(|_| file.name.starts_with("outside/")) else {
+        return base.join(&file.name);
+    };
+    let scan = document.files.iter().find(|f| f.role == "scan" && !f.name.starts_with("outside/"));
+    base.join(scan.and_then(|f| Path::new(&f.name).parent()).unwrap_or(Path::new(""))).join(named)
 }
 
 /// One sentence where the file is not what the run was started with.
@@ -187,17 +221,19 @@ fn file_difference(kept: &KeptFile, now: &Path) -> Option<String> {
     }
 }
 
-/// One sentence for each key of the instrument file that has another value. What a run may be gone on with by is no
-/// difference.
+/// One sentence for each key of the instrument file that has another value. What changes nothing that is measured is no
+/// difference: where runs lie, whom the daemon serves, and the port a device is found at, which its identity proves.
 fn instrument_differences(was: &Instrument, is: &Instrument) -> Vec<String> {
     let flat = |instrument: &Instrument| {
         let mut flat = BTreeMap::new();
         let mut instrument = instrument.clone();
         instrument.auto_resume = false;
         instrument.daemon = Default::default();
+        instrument.runs_dir = PathBuf::new();
         if let Ok(value) = toml::Value::try_from(instrument) {
             flatten(&value, "", &mut flat);
         }
+        flat.retain(|key, _| key != "port" && !key.ends_with(".port"));
         flat
     };
     let (was, is) = (flat(was), flat(is));
@@ -233,7 +269,9 @@ mod tests {
         assert!(instrument_differences(&was, &was).is_empty());
         let mut is = was.clone();
         is.auto_resume = true;
-        assert!(instrument_differences(&was, &is).is_empty(), "going on may be switched on meanwhile");
+        is.runs_dir = "/elsewhere".into();
+        is.holder.port = "/dev/ttyUSB7".into();
+        assert!(instrument_differences(&was, &is).is_empty(), "nothing that is measured depends on these");
         is.holder.tilt.serial = "60001".to_owned();
         is.lamp.irradiance_uw_per_cm2 = None;
         let found = instrument_differences(&was, &is);

@@ -23,6 +23,8 @@ pub struct ProductContext {
     pub finished: Option<Timestamp>,
     /// The lamp, in words.
     pub lamp: String,
+    /// Its hours at the beginning and the end of the run, in words; absent where they are not kept.
+    pub lamp_hours: Option<String>,
     /// How the BSDF was normalised, in words (reference diffuser, or irradiance).
     pub normalisation: String,
     /// The bands that were measured.
@@ -33,6 +35,8 @@ pub struct ProductContext {
     pub versions: Vec<(String, String)>,
     /// How many exposures were planned and what became of them.
     pub counts: Counts,
+    /// What happened in the night: heading and words.
+    pub night: Vec<(String, String)>,
     /// Numbers that the verdict is made from.
     pub checks: Checks,
     /// Uncertainty components.

@@ -3,10 +3,12 @@
 use super::context::{BandRow, Checks, Counts, ProductContext, SampleHeader, UncertaintyComponent};
 use super::error::Result;
 use super::export::matrix::FilledBlock;
+use super::night::night;
 use super::reduce::{Facts, Run};
-use crate::archive::rows::StepState;
+use crate::archive::rows::{EventRow, StepState};
 use crate::config::scan::{ReferenceMode, Symmetry};
 use crate::control::events::Event;
+use crate::control::lamp_hours::LampAge;
 use crate::engine::bsdf::fill::fill;
 use crate::engine::bsdf::matrix::Matrix;
 use crate::engine::bsdf::set::{BsdfSet, Quantity};
@@ -17,7 +19,8 @@ use std::collections::BTreeMap;
 /// The context of a run's products. Holds only the run's own dates.
 pub fn context(run: &Run, set: &BsdfSet, facts: &Facts) -> Result<ProductContext> {
     let (scan, instrument) = (&run.document.scan, &run.document.instrument);
-    let Story { serials, finished } = story(run)?;
+    let (events, steps) = run.dir.with(|journal| Ok((journal.events()?, journal.steps()?)))?;
+    let Story { serials, finished, lamp_hours } = story(&events);
     let sample = &scan.sample;
     Ok(ProductContext {
         run_id: run.document.run_id.clone(),
@@ -33,29 +36,33 @@ pub fn context(run: &Run, set: &BsdfSet, facts: &Facts) -> Result<ProductContext
         started: run.document.started.parse().unwrap_or(Timestamp::UNIX_EPOCH),
         finished,
         lamp: run.document.instrument.lamp.spectrum.display().to_string(),
+        lamp_hours,
         normalisation: normalisation(run),
         bands: bands(run),
         plan_hash: run.document.plan.hash.clone(),
         versions: versions(run),
         counts: counts(run)?,
+        night: night(&run.document, &events, &steps),
         checks: checks(run, set, facts),
         uncertainty: budget(facts),
         notes: notes(run, facts),
     })
 }
 
-/// Who answered, and when the last thing happened.
+/// Who answered, when the last thing happened, and how old the lamp became.
 struct Story {
     serials: Vec<(String, String)>,
     finished: Option<Timestamp>,
+    lamp_hours: Option<String>,
 }
 
 /// Reads the story from the journal.
-fn story(run: &Run) -> Result<Story> {
-    let events = run.dir.with(|journal| journal.events())?;
+fn story(events: &[EventRow]) -> Story {
     let mut serials: Vec<(String, String)> = Vec::new();
     let mut finished = None;
-    for row in &events {
+    // Of the first process that worked on the run, and of the last one.
+    let (mut first, mut ages): (Option<LampAge>, Vec<LampAge>) = (None, Vec::new());
+    for row in events {
         match serde_json::from_str::<Event>(&row.json) {
             Ok(Event::DeviceOpened { device, identity }) => {
                 let words = format!("{} {} (firmware {})", identity.model, identity.serial, identity.firmware);
@@ -63,11 +70,24 @@ fn story(run: &Run) -> Result<Story> {
                     serials.push((device, words));
                 }
             }
+            Ok(Event::RunStarted { .. }) => ages.clear(),
+            Ok(Event::LampHours { age }) => {
+                first.get_or_insert_with(|| age.clone());
+                ages.push(age);
+            }
             Ok(Event::RunEnded { .. }) => finished = Timestamp::from_microsecond(row.utc_us).ok(),
             _ => {}
         }
     }
-    Ok(Story { serials, finished })
+    let lamp_hours = first.map(|first| lamp_hours(&first, ages.get(1)));
+    Story { serials, finished, lamp_hours }
+}
+
+/// Hours at the beginning and the end of the run; a process that was killed tells none at its end.
+fn lamp_hours(first: &LampAge, last: Option<&LampAge>) -> String {
+    let end = last.map_or_else(|| "unknown".to_owned(), LampAge::hours_in_words);
+    let rated = first.rated_h.map_or_else(|| "rated hours unknown".to_owned(), |rated| format!("rated {rated:.0} h"));
+    format!("lamp {}: {} at the beginning, {end} at the end; {rated}", first.serial, first.hours_in_words())
 }
 
 fn normalisation(run: &Run) -> String {

@@ -212,7 +212,7 @@ impl Maker<'_> {
         for (name, what, picture) in [
             (
                 "overview",
-                "all measured columns of the headline quantity",
+                "the headline quantity, up to five directions of each side",
                 overview::overview(set, Quantity::headline(&set.quantities)),
             ),
             ("spectrum", "bands and totals of the column nearest to the normal", spectrum_of(set)),

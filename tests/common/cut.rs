@@ -2,7 +2,7 @@
 //! leaves what the system was given; a power cut also loses what was not synced, drawn from a seed.
 #![allow(dead_code, clippy::unwrap_used, clippy::expect_used)]
 
-use goniod::archive::disk::{Commit, Disk, RealDisk};
+use goniod::archive::disk::{Commit, Disk, RealDisk, TEMPORARY_PREFIX};
 use goniod_sim::truth::rng::Key;
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -65,10 +65,10 @@ impl CutDisk {
         self.inner.lock().unwrap().points
     }
 
-    fn point(&self, what: &str, phase: Phase) {
+    fn point(&self, what: &str, path: &Path, phase: Phase) {
         let mut inner = self.inner.lock().unwrap();
         let Inner { points, state, at } = &mut *inner;
-        at(*points, &format!("{what}, {phase:?}"), state);
+        at(*points, &format!("{what} {}, {phase:?}", kind_of(path)), state);
         *points += 1;
     }
 
@@ -79,14 +79,14 @@ impl CutDisk {
 
 impl Disk for CutDisk {
     fn create_folder(&self, path: &Path) -> io::Result<()> {
-        self.point("create folder", Phase::Before);
+        self.point("create folder", path, Phase::Before);
         fs::create_dir(path)?;
         self.change(|s| s.entries.push(Entry::Made(path.to_owned())));
         Ok(())
     }
 
     fn create(&self, path: &Path) -> io::Result<File> {
-        self.point("create", Phase::Before);
+        self.point("create", path, Phase::Before);
         let file = File::options().write(true).create_new(true).open(path)?;
         self.change(|s| {
             s.entries.push(Entry::Made(path.to_owned()));
@@ -95,23 +95,28 @@ impl Disk for CutDisk {
         Ok(file)
     }
 
-    fn append(&self, file: &mut File, _: &Path, bytes: &[u8]) -> io::Result<()> {
-        self.point("write", Phase::Before);
+    fn append(&self, file: &mut File, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        self.point("write", path, Phase::Before);
         let (first, second) = bytes.split_at(bytes.len() / 2);
         file.write_all(first)?;
-        self.point("write", Phase::Middle);
+        self.point("write", path, Phase::Middle);
         file.write_all(second)
     }
 
+    fn reserve(&self, file: &mut File, path: &Path, bytes: u64) -> io::Result<()> {
+        self.point("reserve", path, Phase::Before);
+        RealDisk.reserve(file, path, bytes)
+    }
+
     fn sync(&self, file: &File, path: &Path) -> io::Result<()> {
-        self.point("sync", Phase::Before);
+        self.point("sync", path, Phase::Before);
         file.sync_all()?;
         self.change(|s| s.unsynced.retain(|p| p != path));
         Ok(())
     }
 
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
-        self.point("rename", Phase::Before);
+        self.point("rename", to, Phase::Before);
         fs::rename(from, to)?;
         self.change(|s| {
             let moved = |p: &PathBuf| p.strip_prefix(from).map_or(p.clone(), |rest| to.join(rest));
@@ -122,7 +127,7 @@ impl Disk for CutDisk {
     }
 
     fn remove(&self, path: &Path) -> io::Result<()> {
-        self.point("remove", Phase::Before);
+        self.point("remove", path, Phase::Before);
         let bytes = fs::read(path).unwrap_or_default();
         fs::remove_file(path)?;
         self.change(|s| s.entries.push(Entry::Removed(path.to_owned(), bytes)));
@@ -130,7 +135,7 @@ impl Disk for CutDisk {
     }
 
     fn sync_folder(&self, folder: &Path) -> io::Result<()> {
-        self.point("sync folder", Phase::Before);
+        self.point("sync folder", folder, Phase::Before);
         File::open(folder)?.sync_all()?;
         self.change(|s| {
             s.entries.retain(|entry| {
@@ -138,12 +143,12 @@ impl Disk for CutDisk {
                 p.parent() != Some(folder)
             });
         });
-        self.point("sync folder", Phase::After);
+        self.point("sync folder", folder, Phase::After);
         Ok(())
     }
 
     fn mark(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
-        self.point("mark", Phase::Before);
+        self.point("mark", path, Phase::Before);
         self.change(|s| {
             if !path.exists() {
                 s.entries.push(Entry::Made(path.to_owned()));
@@ -159,16 +164,27 @@ impl Disk for CutDisk {
         let length = fs::metadata(journal.with_extension("sqlite-wal")).map_or(0, |m| m.len());
         match at {
             Commit::Begins => {
-                self.point("commit", Phase::Before);
+                self.point("commit", journal, Phase::Before);
                 self.change(|s| s.log_before = Some(length));
             }
             Commit::Done => {
-                self.point("commit", Phase::Middle);
+                self.point("commit", journal, Phase::Middle);
                 self.change(|s| s.log_before = None);
-                self.point("commit", Phase::After);
+                self.point("commit", journal, Phase::After);
             }
         }
         Ok(())
+    }
+}
+
+/// What a file or folder is to a run, in one word.
+fn kind_of(path: &Path) -> String {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    match name.trim_start_matches(TEMPORARY_PREFIX) {
+        name if name.starts_with("c.") => "frame".to_owned(),
+        name if name.starts_with("journal.") => name.to_owned(),
+        _ if path.is_dir() => "folder".to_owned(),
+        _ => "file".to_owned(),
     }
 }
 

@@ -81,6 +81,13 @@ impl Lab {
         fs::write(&path, text).unwrap();
     }
 
+    /// Puts a light monitor into the instrument, and a table of interlocks with these lines.
+    pub fn add_light(&self, interlocks: &str) {
+        let monitor = "[light_monitor]\ndriver = \"newport-1830c\"\nport = \"sim:light-monitor\"\nwavelength_nm = 550.0\naverage = 4\n";
+        let tables = format!("\n{monitor}\n[interlocks]\n{interlocks}\n\n[camera.ccd]");
+        self.edit("instrument.sim.toml", &[("\n[camera.ccd]", &tables)], true);
+    }
+
     /// Writes a scan file into `config/scans/` and gives its path.
     pub fn scan(&self, name: &str, text: &str) -> PathBuf {
         let path = self.path("config/scans").join(name);

@@ -54,21 +54,9 @@ pub struct Tiny {
     pub checked: Checked,
 }
 
-/// Light monitor and interlocks, for the instrument file.
-const LIGHT: &str = r#"
-[light_monitor]
-driver = "newport-1830c"
-port = "sim:light-monitor"
-wavelength_nm = 550.0
-average = 4
-
-[interlocks]
-period_s = 30.0
-lamp_drift_warning = 0.06
-drift_per_view = 0.01
-longest_suspension_s = 7200.0
-
-[camera.ccd]"#;
+/// Interlocks of a night with a light monitor.
+const INTERLOCKS: &str =
+    "period_s = 30.0\nlamp_drift_warning = 0.06\ndrift_per_view = 0.01\nlongest_suspension_s = 7200.0";
 
 /// How long a run rests before it is gone on with.
 const REST_US: i64 = 60_000_000;
@@ -108,7 +96,9 @@ enum Begin<'a> {
 
 /// A scan with `directions` directions, both transmission and reflection, both cameras.
 pub fn scan_text(directions: usize) -> String {
-    let list: Vec<String> = (0..directions).map(|i| format!("[{}, {}]", 4 + i % 9 * 8, (i * 37) % 360)).collect();
+    // After 360 directions the same azimuths come at other elevations.
+    let theta = |i: usize| (4 + i % 9 * 8) as f64 + (i / 360) as f64 * 0.5;
+    let list: Vec<String> = (0..directions).map(|i| format!("[{}, {}]", theta(i), (i * 37) % 360)).collect();
     format!(
         "name = \"night\"\n[sample]\nthickness_mm = 4.0\nsimulated = \"../sim/samples/lambertian_t20.toml\"\n\
          [incidence]\ndirections = [{}]\nsides = [\"transmission-front\", \"reflection-front\"]\n\
@@ -146,7 +136,7 @@ impl Tiny {
     /// The lab with this scan and a light monitor.
     pub fn with_light(scan: &str) -> Tiny {
         let lab = Lab::shipped();
-        lab.edit("instrument.sim.toml", &[("\n[camera.ccd]", LIGHT)], true);
+        lab.add_light(INTERLOCKS);
         Tiny::in_lab(lab, scan)
     }
 

@@ -1,6 +1,7 @@
 //! A daemon for tests: the real program in a lab of its own, asked over its socket by a client that is none of ours.
 #![allow(dead_code, clippy::unwrap_used, clippy::expect_used)]
 
+mod managed;
 mod units;
 
 use crate::common::{Lab, Said, root, text};
@@ -147,6 +148,16 @@ impl<'a> Daemon<'a> {
     /// Asks it to end, as the service manager does.
     pub fn ask_to_end(&self) {
         signal(self.child.id(), "TERM");
+    }
+
+    /// Sends it a signal.
+    pub fn signal(&self, name: &str) {
+        signal(self.child.id(), name);
+    }
+
+    /// Waits for its end and gives its exit code.
+    pub fn wait(mut self) -> Option<i32> {
+        self.child.wait().unwrap().code()
     }
 
     /// Asks it to end and gives its exit code.

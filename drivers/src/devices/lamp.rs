@@ -1,8 +1,8 @@
-//! How a discharge lamp behaves: out, warming up, steady, cooling; what may be asked of it, and for how long it burns.
+//! How a discharge lamp behaves: out and cooling, cold, warming up, steady; and for how long it was seen burning.
 //!
-//! Source: the sheet `light-source-hmi`. No wire: light readings and switching are told to the model, which is a pure
-//! state machine of time. After a start of the daemon the state is unknown until a reading tells whether it burns; a lamp
-//! found burning is trusted only after the whole warm-up and a flat slope. The daemon never switches a lamp off by itself.
+//! Source: the sheet `light-source-hmi`. No wire: the light readings are told to the model, which is a pure state machine
+//! of time. After a start of the daemon the state is unknown until a reading tells whether it burns; a lamp found burning
+//! is trusted only after the whole warm-up and a flat slope, one found out counts as hot: nobody knows when it went out.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -20,8 +20,6 @@ pub struct LampConfig {
     pub warm_up: Duration,
     /// Cooling before it may be struck again.
     pub restrike: Duration,
-    /// Shortest time from ignition to switching off.
-    pub shortest_on: Duration,
     /// Largest relative slope of steady light, a minute.
     pub steady_per_minute: f64,
     /// Time over which the slope is judged.
@@ -30,8 +28,6 @@ pub struct LampConfig {
     pub out_below: f64,
     /// Power on the monitor above which a lamp of unknown state burns, watts.
     pub burns_above_w: f64,
-    /// Hours the maker rates it for.
-    pub rated_hours: Option<f64>,
 }
 
 /// State of the lamp.
@@ -39,48 +35,15 @@ pub struct LampConfig {
 pub enum LampState {
     /// Nothing was seen yet.
     Unknown,
+    /// Out, too hot to be struck before then. Light seen before then is not the lamp's.
+    Cooling(Instant),
     /// Out, and cool enough to be struck.
     Off,
-    /// Out, too hot to be struck before then.
-    Cooling(Instant),
     /// Burns, not steady before then at the earliest.
     Warming(Instant),
     /// Burns steadily.
     Steady,
     /// Was steady; its light now changes faster than allowed.
-    Drifting,
-}
-
-/// What somebody wants of the lamp.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Wish {
-    /// Strike it.
-    On,
-    /// Switch it off; only ever an operator's wish.
-    Off,
-}
-
-/// Why a wish must wait, with the instant from which it is allowed.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Refusal {
-    /// The arc is hot.
-    TooHot(Instant),
-    /// It was struck too short a time ago.
-    TooYoung(Instant),
-    /// It is so already.
-    Already,
-}
-
-/// What a reading showed.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum LampEvent {
-    /// It burns.
-    Burns,
-    /// It went out: close the shutter and stop; nobody strikes it without an operator.
-    Lost,
-    /// Its light is steady now.
-    Steady,
-    /// Its light is not steady any more.
     Drifting,
 }
 
@@ -92,8 +55,9 @@ pub struct LampModel {
     out_since: Option<Instant>,
     steady: Option<bool>,
     readings: VecDeque<(Instant, f64)>,
+    seen_burning: Option<Instant>,
     burnt: Duration,
-    ignitions: u32,
+    losses: u32,
 }
 
 // === impl LampConfig ===
@@ -103,12 +67,10 @@ impl Default for LampConfig {
         LampConfig {
             warm_up: Duration::from_secs(300),
             restrike: Duration::from_secs(900),
-            shortest_on: Duration::from_secs(300),
             steady_per_minute: 0.002,
             slope_over: Duration::from_secs(300),
             out_below: 0.1,
             burns_above_w: 1e-8,
-            rated_hours: None,
         }
     }
 }
@@ -116,16 +78,17 @@ impl Default for LampConfig {
 // === impl LampModel ===
 
 impl LampModel {
-    /// A lamp of which nothing is known but its past: burnt time and ignitions, as stored.
-    pub fn new(config: LampConfig, burnt: Duration, ignitions: u32) -> LampModel {
+    /// A lamp of which nothing was seen yet.
+    pub fn new(config: LampConfig) -> LampModel {
         LampModel {
             config,
             burning_since: None,
             out_since: None,
             steady: None,
             readings: VecDeque::new(),
-            burnt,
-            ignitions,
+            seen_burning: None,
+            burnt: Duration::ZERO,
+            losses: 0,
         }
     }
 
@@ -141,61 +104,35 @@ impl LampModel {
         }
     }
 
+    /// What is known of the lamp.
+    pub fn config(&self) -> &LampConfig {
+        &self.config
+    }
+
     /// True when light measured now means something.
     pub fn usable(&self, now: Instant) -> bool {
         self.state(now) == LampState::Steady
     }
 
-    /// Whether a wish may be granted at `now`.
-    ///
-    /// # Errors
-    /// Why not, and from when on.
-    pub fn may(&self, wish: Wish, now: Instant) -> Result<(), Refusal> {
-        match (wish, self.state(now)) {
-            (Wish::On, LampState::Off) => Ok(()),
-            // It may have been switched off just before the daemon began: the whole cooling time is waited for.
-            (Wish::On, LampState::Unknown) => Err(Refusal::TooHot(now + self.config.restrike)),
-            (Wish::On, LampState::Cooling(until)) => Err(Refusal::TooHot(until)),
-            (Wish::On, _) | (Wish::Off, LampState::Off | LampState::Cooling(_)) => Err(Refusal::Already),
-            (Wish::Off, _) => match self.burning_since.map(|since| since + self.config.shortest_on) {
-                Some(until) if now < until => Err(Refusal::TooYoung(until)),
-                _ => Ok(()),
-            },
-        }
-    }
-
-    /// Somebody switched the lamp at `now`. What it does, the readings tell.
-    pub fn switched(&mut self, wish: Wish, now: Instant) {
-        match wish {
-            Wish::On => self.ignite(now),
-            Wish::Off => self.extinguish(now),
-        }
-    }
-
     /// A reading of the light monitor. Saturated readings tell only that it burns.
-    pub fn observe(&mut self, power_w: f64, saturated: bool, now: Instant) -> Option<LampEvent> {
+    pub fn observe(&mut self, power_w: f64, saturated: bool, now: Instant) {
         let last = self.readings.back().map(|(_, power)| *power);
         let threshold = last
             .map_or(self.config.burns_above_w, |last| (self.config.out_below * last).max(self.config.burns_above_w));
         let burns = saturated || power_w > threshold;
-        match (self.burning_since, burns) {
-            (None, false) => {
-                self.out_since = self.out_since.or(Some(now));
-                None
-            }
-            (None, true) => {
-                self.ignite(now);
-                self.keep(power_w, saturated, now);
-                Some(LampEvent::Burns)
-            }
-            (Some(_), false) => {
-                self.extinguish(now);
-                Some(LampEvent::Lost)
-            }
-            (Some(since), true) => {
-                self.keep(power_w, saturated, now);
-                self.judge(since, now)
-            }
+        match (self.state(now), burns) {
+            (LampState::Unknown, false) => self.out_since = Some(now),
+            (LampState::Unknown | LampState::Off, true) => self.ignite(now),
+            // A hot arc cannot burn.
+            (LampState::Cooling(_), true) => return,
+            (LampState::Off | LampState::Cooling(_), false) => {}
+            (_, false) => self.extinguish(now),
+            (_, true) => {}
+        }
+        if let (Some(since), true) = (self.burning_since, burns) {
+            self.count(now);
+            self.keep(power_w, saturated, now);
+            self.judge(since, now);
         }
     }
 
@@ -214,38 +151,36 @@ impl LampModel {
         Some(over / under / mean_p).filter(|slope| slope.is_finite())
     }
 
-    /// Time it has burnt in its life.
-    pub fn burnt(&self, now: Instant) -> Duration {
-        let running = self.burning_since.and_then(|since| now.checked_duration_since(since));
-        self.burnt + running.unwrap_or_default()
+    /// Time it was seen burning. Between two readings of a burning lamp it burnt all the time, unless it could have gone
+    /// out, cooled and been struck again in between: such a gap is not counted.
+    pub fn burnt(&self) -> Duration {
+        self.burnt
     }
 
-    /// Times it was struck, as far as was seen.
-    pub fn ignitions(&self) -> u32 {
-        self.ignitions
-    }
-
-    /// True when it has burnt longer than its maker rates it for.
-    pub fn worn(&self, now: Instant) -> bool {
-        self.config.rated_hours.is_some_and(|hours| self.burnt(now).as_secs_f64() / 3600.0 > hours)
+    /// Times it was seen going out.
+    pub fn losses(&self) -> u32 {
+        self.losses
     }
 
     fn ignite(&mut self, now: Instant) {
-        if self.burning_since.is_none() {
-            self.ignitions = self.ignitions.saturating_add(1);
-            self.burning_since = Some(now);
-        }
-        self.out_since = None;
-        self.steady = None;
-        self.readings.clear();
+        (self.burning_since, self.out_since) = (Some(now), None);
+        self.forget();
     }
 
     fn extinguish(&mut self, now: Instant) {
-        self.burnt = self.burnt(now);
-        self.burning_since = None;
-        self.out_since = Some(now);
-        self.steady = None;
+        (self.burning_since, self.out_since) = (None, Some(now));
+        self.losses = self.losses.saturating_add(1);
+        self.forget();
+    }
+
+    fn forget(&mut self) {
+        (self.steady, self.seen_burning) = (None, None);
         self.readings.clear();
+    }
+
+    fn count(&mut self, now: Instant) {
+        let since = self.seen_burning.replace(now).map(|seen| now.saturating_duration_since(seen));
+        self.burnt += since.filter(|since| *since < self.config.restrike).unwrap_or_default();
     }
 
     fn keep(&mut self, power_w: f64, saturated: bool, now: Instant) {
@@ -260,18 +195,13 @@ impl LampModel {
         }
     }
 
-    fn judge(&mut self, since: Instant, now: Instant) -> Option<LampEvent> {
-        let flat = self.slope_per_minute()?.abs() <= self.config.steady_per_minute;
+    fn judge(&mut self, since: Instant, now: Instant) {
+        let Some(slope) = self.slope_per_minute() else { return };
+        let flat = slope.abs() <= self.config.steady_per_minute;
         match (self.steady, flat) {
-            (None | Some(false), true) if now >= since + self.config.warm_up => {
-                self.steady = Some(true);
-                Some(LampEvent::Steady)
-            }
-            (Some(true), false) => {
-                self.steady = Some(false);
-                Some(LampEvent::Drifting)
-            }
-            _ => None,
+            (None | Some(false), true) if now >= since + self.config.warm_up => self.steady = Some(true),
+            (Some(true), false) => self.steady = Some(false),
+            _ => {}
         }
     }
 }

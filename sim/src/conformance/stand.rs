@@ -54,98 +54,109 @@ pub struct Handles<T> {
 /// Judges what was said between two instants.
 pub type Judge<T> = fn(&T, &Value, [Instant; 2]) -> std::result::Result<(), String>;
 
-/// A twin behind a serial adapter that has one of two names.
-pub struct SerialStand<T> {
+/// A place that an adapter with a twin can be plugged into, under a name of its own.
+pub trait Socket: Send {
+    /// The adapter is put in.
+    fn put(&self);
+    /// The adapter is pulled out.
+    fn pull(&self);
+    /// What changed in the twin goes out now.
+    fn stir(&self);
+    /// Connectors for a driver that finds the adapter in either place.
+    fn connectors(places: &[Self; 2], clock: Clock) -> Plug
+    where
+        Self: Sized;
+}
+
+/// A twin whose adapter is in one of two places.
+pub struct TwinStand<T, P> {
     watched: Watched<T>,
-    ports: [PipePort<Watched<T>>; 2],
+    places: [P; 2],
     handles: Handles<T>,
 }
 
+/// A twin behind a serial adapter that has one of two names.
+pub type SerialStand<T> = TwinStand<T, PipePort<Watched<T>>>;
+
 /// A USB twin in one of two places of the bus.
-pub struct UsbStand<T> {
-    watched: Watched<T>,
-    places: [UsbBus<Watched<T>>; 2],
-    handles: Handles<T>,
-}
+pub type UsbStand<T> = TwinStand<T, UsbBus<Watched<T>>>;
 
 /// Finds a device again by what it is, whatever name its adapter has got: as a link by id does.
 struct Finder<C>([C; 2]);
 
-// === impl SerialStand ===
+// === impl Socket ===
+
+impl<T: Firmware> Socket for PipePort<Watched<T>> {
+    fn put(&self) {
+        self.plug();
+    }
+
+    fn pull(&self) {
+        self.unplug();
+    }
+
+    fn stir(&self) {
+        self.with(|_| ());
+    }
+
+    fn connectors([first, second]: &[Self; 2], clock: Clock) -> Plug {
+        Plug::Serial(Box::new(Finder([first.connector(clock), second.connector(clock)])))
+    }
+}
+
+impl<T: UsbTwin> Socket for UsbBus<Watched<T>> {
+    fn put(&self) {
+        self.plug();
+    }
+
+    fn pull(&self) {
+        self.unplug();
+    }
+
+    fn stir(&self) {
+        self.with(|_| ());
+    }
+
+    fn connectors([first, second]: &[Self; 2], clock: Clock) -> Plug {
+        Plug::Usb(Box::new(Finder([first.connector(clock), second.connector(clock)])))
+    }
+}
+
+// === impl TwinStand ===
 
 impl<T: Firmware> SerialStand<T> {
     /// A stand with this twin, its adapter plugged in under its first name.
     pub fn new(twin: T, handles: Handles<T>) -> SerialStand<T> {
-        let watched = Watched::new(twin, handles.restart);
-        let ports = ["sim:ttyUSB0", "sim:ttyUSB1"].map(|name| PipePort::new(name, watched.clone()));
-        ports[1].unplug();
-        SerialStand { watched, ports, handles }
-    }
-
-    fn change(&self, act: impl FnOnce(&mut T)) {
-        act(&mut self.watched.twin());
-        self.ports.iter().for_each(|port| port.with(|_| ()));
+        TwinStand::of(twin, handles, |watched| {
+            ["sim:ttyUSB0", "sim:ttyUSB1"].map(|name| PipePort::new(name, watched.clone()))
+        })
     }
 }
-
-impl<T: Firmware> Stand for SerialStand<T> {
-    fn plug(&self, clock: Clock) -> Plug {
-        let [first, second] = &self.ports;
-        Plug::Serial(Box::new(Finder([first.connector(clock), second.connector(clock)])))
-    }
-
-    fn line(&self) -> &Line {
-        self.watched.line()
-    }
-
-    fn disturb(&self, fault: WireFault) -> bool {
-        let Some(disturb) = self.handles.disturb else { return false };
-        self.change(|twin| disturb(twin, fault, Instant::now()));
-        true
-    }
-
-    fn disturbed(&self) -> bool {
-        (self.handles.disturbed)(&self.watched.twin())
-    }
-
-    fn restart(&self) {
-        self.change(|twin| (self.handles.restart)(twin, Instant::now()));
-    }
-
-    fn unplug(&self) {
-        self.ports.iter().for_each(PipePort::unplug);
-    }
-
-    fn plug_elsewhere(&self) {
-        self.ports[1].plug();
-    }
-
-    fn judge(&self, said: &Value, since: Instant) -> std::result::Result<(), String> {
-        (self.handles.judge)(&self.watched.twin(), said, [since, Instant::now()])
-    }
-}
-
-// === impl UsbStand ===
 
 impl<T: UsbTwin> UsbStand<T> {
     /// A stand with this twin, plugged into its first place.
     pub fn new(twin: T, handles: Handles<T>) -> UsbStand<T> {
+        TwinStand::of(twin, handles, |watched| ["usb:1-1", "usb:1-2"].map(|name| UsbBus::new(name, watched.clone())))
+    }
+}
+
+impl<T, P: Socket> TwinStand<T, P> {
+    fn of(twin: T, handles: Handles<T>, places: impl FnOnce(&Watched<T>) -> [P; 2]) -> TwinStand<T, P> {
         let watched = Watched::new(twin, handles.restart);
-        let places = ["usb:1-1", "usb:1-2"].map(|name| UsbBus::new(name, watched.clone()));
-        places[1].unplug();
-        UsbStand { watched, places, handles }
+        let places = places(&watched);
+        places[1].pull();
+        TwinStand { watched, places, handles }
     }
 
     fn change(&self, act: impl FnOnce(&mut T)) {
         act(&mut self.watched.twin());
-        self.places.iter().for_each(|place| place.with(|_| ()));
+        self.places.iter().for_each(Socket::stir);
     }
 }
 
-impl<T: UsbTwin> Stand for UsbStand<T> {
+impl<T: Send, P: Socket> Stand for TwinStand<T, P> {
     fn plug(&self, clock: Clock) -> Plug {
-        let [first, second] = &self.places;
-        Plug::Usb(Box::new(Finder([first.connector(clock), second.connector(clock)])))
+        P::connectors(&self.places, clock)
     }
 
     fn line(&self) -> &Line {
@@ -167,11 +178,11 @@ impl<T: UsbTwin> Stand for UsbStand<T> {
     }
 
     fn unplug(&self) {
-        self.places.iter().for_each(UsbBus::unplug);
+        self.places.iter().for_each(Socket::pull);
     }
 
     fn plug_elsewhere(&self) {
-        self.places[1].plug();
+        self.places[1].put();
     }
 
     fn judge(&self, said: &Value, since: Instant) -> std::result::Result<(), String> {

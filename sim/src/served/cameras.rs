@@ -3,30 +3,11 @@
 use super::ServeError;
 use crate::bench::Bench;
 use crate::gige::{GigeTwin, PixelCode, Sensor, TwinConfig};
-use goniod_drivers::frame::PixelFormat;
+use goniod_drivers::devices::CameraConfig;
 use std::io;
 use std::net::Ipv4Addr;
 use std::sync::Arc;
 use std::time::Duration;
-
-/// A camera as the instrument expects it.
-#[derive(Debug, Clone, PartialEq)]
-pub struct CameraSite {
-    /// Serial number it reports.
-    pub serial: String,
-    /// Columns.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
-    /// Pixel format.
-    pub format: PixelFormat,
-    /// Shortest integration time, seconds.
-    pub shortest_s: f64,
-    /// Longest integration time, seconds.
-    pub longest_s: f64,
-    /// Read-out time, seconds.
-    pub readout_s: f64,
-}
 
 /// Longest serial number that the register of a GigE Vision camera holds, in bytes.
 const LONGEST_SERIAL: usize = 15;
@@ -37,7 +18,13 @@ const ADDRESSES: u32 = 250;
 ///
 /// # Errors
 /// [`ServeError`]: a camera that the bench has not or has otherwise, no free address.
-pub fn start(name: &str, site: &CameraSite, bench: &Bench, seed: u64, first: Ipv4Addr) -> Result<GigeTwin, ServeError> {
+pub fn start(
+    name: &str,
+    site: &CameraConfig,
+    bench: &Bench,
+    seed: u64,
+    first: Ipv4Addr,
+) -> Result<GigeTwin, ServeError> {
     let wrong = |message: String| ServeError::Camera { name: name.to_owned(), message };
     let scene = Arc::new(bench.scene(name)?);
     let format = PixelCode::of(site.format).ok_or_else(|| {

@@ -14,7 +14,6 @@ mod tests;
 pub mod usb;
 pub mod words;
 
-pub use cameras::CameraSite;
 pub use usb::UsbSite;
 
 use crate::bench::Bench;
@@ -23,6 +22,7 @@ use crate::truth::error::SimError;
 use crate::twins::Twins;
 use board::Board;
 use goniod_drivers::clock::Clock;
+use goniod_drivers::devices::CameraConfig;
 use std::collections::BTreeMap;
 use std::io;
 use std::net::Ipv4Addr;
@@ -58,7 +58,7 @@ pub struct Site {
     /// Serial devices.
     pub lines: Vec<Line>,
     /// Cameras by name, each of them one of the bench's.
-    pub cameras: BTreeMap<String, CameraSite>,
+    pub cameras: BTreeMap<String, CameraConfig>,
     /// The light monitor, where it is a Thorlabs PM100.
     pub meter: Option<UsbSite>,
     /// The spectrometer.

@@ -16,7 +16,7 @@ fn config(name: &str) -> PathBuf {
 }
 
 fn site(folder: &Path) -> Site {
-    let ingaas = CameraSite {
+    let ingaas = CameraConfig {
         serial: "INGAAS-0001".into(),
         width: 320,
         height: 256,
@@ -24,6 +24,12 @@ fn site(folder: &Path) -> Site {
         shortest_s: 1e-6,
         longest_s: 120.0,
         readout_s: 0.01,
+        name: "camera.ingaas".into(),
+        port: String::new(),
+        frame_interval_s: 0.0,
+        discard_frames: 0,
+        v4l2: None,
+        aravis: None,
     };
     Site {
         folder: folder.to_owned(),
@@ -166,7 +172,7 @@ async fn every_fault_of_the_catalogue_has_a_word_and_bad_lines_get_a_sentence() 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_camera_that_does_not_fit_is_refused_with_what_does() {
     let folder = tempfile::tempdir().unwrap();
-    let with = |change: fn(&mut CameraSite)| {
+    let with = |change: fn(&mut CameraConfig)| {
         let mut site = site(folder.path());
         site.cameras.values_mut().for_each(change);
         start(&site).err().unwrap().to_string()

@@ -1,7 +1,7 @@
 //! What makes and measures light by itself: lamp, light monitor, monochromator, spectrometer.
 
 use super::Report;
-use crate::config::instrument::Instrument;
+use crate::config::instrument::{Instrument, Lamp};
 
 /// A day in seconds: more is a slip of the unit.
 const DAY_S: f64 = 86_400.0;
@@ -12,14 +12,41 @@ pub(super) fn check(i: &Instrument, report: &mut Report<'_>) {
             report.range(key, time, 0.0, DAY_S);
         }
     }
-    if let Some(hours) = i.lamp.rated_hours {
-        report.positive("lamp.rated_hours", hours, 1e6);
-    }
+    lamp_hours(&i.lamp, report);
     light_monitor(i, report);
     unwatched(i, report);
     monochromator(i, report);
     if let Some(spectrometer) = &i.spectrometer {
         report.text("spectrometer.serial", &spectrometer.serial);
+    }
+}
+
+/// The lamp that is in, and its hours.
+fn lamp_hours(lamp: &Lamp, report: &mut Report<'_>) {
+    if let Some(hours) = lamp.rated_hours {
+        report.positive("lamp.rated_hours", hours, 1e6);
+    }
+    if let Some(hours) = lamp.hours_at_start {
+        report.range("lamp.hours_at_start", hours, 0.0, 1e6);
+    }
+    match &lamp.serial {
+        Some(serial) if !Lamp::is_serial(serial) => {
+            let most = Lamp::SERIAL_CHARS;
+            let why = "but must begin with a letter or digit and have letters, digits, `-`, `_` and `.` only";
+            report.error("lamp.serial", format!("`lamp.serial` is \"{serial}\", {why}, at most {most}; correct it"));
+        }
+        Some(_) => {}
+        None => {
+            for (key, written) in [
+                ("lamp.rated_hours", lamp.rated_hours.is_some()),
+                ("lamp.hours_at_start", lamp.hours_at_start.is_some()),
+            ] {
+                if written {
+                    let why = "no effect without `lamp.serial`, by which the hours of a lamp are kept; add it";
+                    report.warn(key, format!("`{key}` has {why}, or take the key out"));
+                }
+            }
+        }
     }
 }
 
@@ -60,6 +87,10 @@ fn unwatched(i: &Instrument, report: &mut Report<'_>) {
             _ => continue,
         };
         report.warn(key, format!("`{key}` has no effect without a table {lacking}; add it, or take the key out"));
+    }
+    if i.lamp.restrike_s.is_some() && i.lamp.warm_up_s.is_none() {
+        let key = "lamp.restrike_s";
+        report.warn(key, format!("`{key}` has no effect without `lamp.warm_up_s`; add it, or take the key out"));
     }
 }
 

@@ -370,3 +370,22 @@ fn all_faults_of_all_files_are_told_at_once_in_order() {
         check(&bench.path("scans/none.toml"), &bench.path("instrument.sim.toml"), &bench.options).unwrap_err();
     assert!(matches!(missing, ConfigError::NotFound { role: "scan", .. }));
 }
+
+#[test]
+fn the_lamp_that_is_in_names_a_file_and_its_hours_need_it() {
+    let lamp = |lines: &str| {
+        let bench = Bench::new();
+        bench.instrument("[holder]\n", &format!("{lines}\n[holder]\n"));
+        bench
+    };
+    for serial in ["", "../a", ".a", "a b", "a/b", "ä"] {
+        lamp(&format!("serial = \"{serial}\"")).only("lamp.serial", &["letters, digits"]);
+    }
+    lamp(&format!("serial = \"{}\"", "a".repeat(65))).only("lamp.serial", &["at most 64"]);
+    lamp("serial = \"A-1\"\nhours_at_start = -1.0").only("lamp.hours_at_start", &["from 0"]);
+    let warnings = |lines: &str| lamp(lines).check().unwrap().warnings;
+    assert!(warnings("serial = \"HMI_0.4-2\"\nrated_hours = 750.0\nhours_at_start = 3.0").is_empty());
+    let [hours, restrike] = &warnings("rated_hours = 750.0\nrestrike_s = 600.0")[..] else { panic!("two") };
+    assert!(hours.message.contains("`lamp.serial`"), "{hours}");
+    assert!(restrike.message.contains("`lamp.warm_up_s`"), "{restrike}");
+}

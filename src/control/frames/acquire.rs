@@ -63,7 +63,7 @@ pub enum AcquireError {
 }
 
 /// Takes one good frame. Each frame thrown away as unfit is appended to `rejected`; frames that the camera itself
-/// announced as not to be used are not.
+/// announced as not to be used are not, nor is a black one that a second look confirmed.
 ///
 /// # Errors
 /// [`AcquireError`].
@@ -74,13 +74,16 @@ pub async fn acquire(
     clock: Clock,
     rejected: &mut Vec<Rejection>,
 ) -> Result<Acquired, AcquireError> {
-    let mut last = Rejection::Damaged;
+    let (mut last, mut black) = (Rejection::Damaged, None);
     for attempt in 1..=request.attempts.max(1) {
-        let black_before = attempt > 1 && last == Rejection::BlackUnconfirmed;
-        match attempt_once(camera, history, request, clock, black_before, rejected).await? {
+        match attempt_once(camera, history, request, clock, &mut black, rejected).await? {
             Ok((frame, picture)) => {
                 if request.dark {
                     history.keep_dark(frame.info.settings.exposure, &picture);
+                }
+                if picture.is_black() {
+                    // The second look agreed: there was nothing wrong with the first.
+                    rejected.retain(|reason| *reason != Rejection::BlackUnconfirmed);
                 }
                 return Ok(Acquired { frame, picture, attempts: attempt });
             }
@@ -93,12 +96,13 @@ pub async fn acquire(
     Err(AcquireError::Rejected { attempts: request.attempts.max(1), last })
 }
 
+/// One attempt; `black` is the black picture of the attempt before, where a second look is to decide.
 async fn attempt_once(
     camera: &mut dyn Camera,
     history: &mut StreamHistory,
     request: &Request<'_>,
     clock: Clock,
-    black_before: bool,
+    black: &mut Option<Picture>,
     rejected: &mut Vec<Rejection>,
 ) -> Result<Result<(Frame, Picture), Rejection>, DeviceError> {
     let name = request.camera;
@@ -116,6 +120,7 @@ async fn attempt_once(
         Ok(taken) => taken,
         Err(reason) => return Ok(Err(reason)),
     };
+    let before = black.take();
     let expected = Expectation {
         camera: camera.info(),
         settings: applied,
@@ -124,13 +129,20 @@ async fn attempt_once(
         now: clock.now(),
         previous_id,
         dark: request.dark,
-        black_before,
-        skip_rows: request.skip_rows,
+        black_before: before.as_ref(),
         bracket: request.bracket,
     };
-    let verdict = guard::judge(&frame.info, &frame.pixels, history, &expected);
-    remember(history, &frame, request.skip_rows);
-    Ok(verdict.map(|picture| (frame, picture)))
+    let mut picture = Picture::of(&frame.info, &frame.pixels, request.skip_rows);
+    let verdict = guard::judge(&frame.info, picture.as_mut(), history, &expected);
+    remember(history, &frame, picture.as_ref());
+    match (verdict, picture) {
+        (Ok(()), Some(picture)) => Ok(Ok((frame, picture))),
+        (Ok(()), None) => Ok(Err(Rejection::Damaged)),
+        (Err(reason), picture) => {
+            *black = picture.filter(|_| reason == Rejection::BlackUnconfirmed);
+            Ok(Err(reason))
+        }
+    }
 }
 
 /// The first frame that counts, with the counter of the one before it.
@@ -160,16 +172,16 @@ async fn take(
         } else {
             return Ok(Ok((frame, previous_id)));
         }
-        remember(history, &frame, skip_rows);
+        remember(history, &frame, Picture::of(&frame.info, &frame.pixels, skip_rows).as_ref());
         previous_id = Some(id);
     }
 }
 
 /// Takes note of a frame that has arrived, good or not: none may come again under a later number.
-fn remember(history: &mut StreamHistory, frame: &Frame, skip_rows: usize) {
+fn remember(history: &mut StreamHistory, frame: &Frame, picture: Option<&Picture>) {
     history.saw(frame.info.device_frame_id);
-    if let Some(picture) = Picture::of(&frame.info, &frame.pixels, skip_rows) {
-        history.keep(frame.info.settings.exposure, &picture);
+    if let Some(picture) = picture {
+        history.keep(frame.info.settings.exposure, picture);
     }
 }
 

@@ -7,7 +7,7 @@
 use super::bracket::{Black, Bracket, Contradiction};
 use super::picture::Picture;
 use goniod_drivers::contract::{Armed, CameraInfo, CameraSettings};
-use goniod_drivers::frame::{FrameInfo, Pixels};
+use goniod_drivers::frame::FrameInfo;
 use goniod_drivers::units::ExposureTime;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, VecDeque};
@@ -31,6 +31,9 @@ pub enum Rejection {
     /// The device flagged the buffer, or it is shorter than it should be.
     #[error("the buffer is damaged or short")]
     Damaged,
+    /// It was good, but its file in the store was found damaged or gone.
+    #[error("its file was damaged or gone when the run was gone on with")]
+    FileDamaged,
     /// Another camera's frame.
     #[error("it comes from camera {0}")]
     WrongCamera(String),
@@ -133,10 +136,8 @@ pub struct Expectation<'a> {
     pub previous_id: Option<u64>,
     /// The shutter is closed.
     pub dark: bool,
-    /// The attempt before gave a black frame.
-    pub black_before: bool,
-    /// Rows at the top that are not picture.
-    pub skip_rows: usize,
+    /// The black picture that the attempt before gave.
+    pub black_before: Option<&'a Picture>,
     /// The other frames of the bracket.
     pub bracket: &'a Bracket,
 }
@@ -196,24 +197,24 @@ impl StreamHistory {
     }
 }
 
-/// Judges a frame; gives its picture in short.
+/// Judges a frame by what it says of itself and its picture in short (`None`: the pixels are too few or too many), and
+/// notes in the picture whether it shows light.
 ///
 /// # Errors
 /// The first reason against it.
 pub fn judge(
     info: &FrameInfo,
-    pixels: &Pixels,
+    picture: Option<&mut Picture>,
     history: &StreamHistory,
     expected: &Expectation<'_>,
-) -> Result<Picture, Rejection> {
+) -> Result<(), Rejection> {
     judge_label(info, expected)?;
     judge_counter(info, history, expected)?;
     judge_time(info, expected)?;
-    let mut picture = Picture::of(info, pixels, expected.skip_rows).ok_or(Rejection::Damaged)?;
-    picture.shows_light = history.shows_light(info.settings.exposure, &picture);
-    judge_light(&picture, history, expected)?;
-    expected.bracket.judge(expected.settings.exposure, &picture).map_err(Rejection::Bracket)?;
-    Ok(picture)
+    let picture = picture.ok_or(Rejection::Damaged)?;
+    picture.shows_light = history.shows_light(info.settings.exposure, picture);
+    judge_light(picture, history, expected)?;
+    expected.bracket.judge(expected.settings.exposure, picture).map_err(Rejection::Bracket)
 }
 
 /// True when a setting applied is near enough to the one asked for.
@@ -274,7 +275,9 @@ fn judge_light(picture: &Picture, history: &StreamHistory, expected: &Expectatio
     if picture.is_black() && !expected.dark {
         match expected.bracket.black_at(exposure) {
             Black::Impossible => return Err(Rejection::Black),
-            Black::Open if !expected.black_before && !picture.shows_light => return Err(Rejection::BlackUnconfirmed),
+            Black::Open if !picture.shows_light && !expected.black_before.is_some_and(|b| b.confirms(picture)) => {
+                return Err(Rejection::BlackUnconfirmed);
+            }
             // An 8-bit sensor clips to zero below its response's offset: such frames are constant and all alike.
             Black::Open | Black::Expected => {}
         }
@@ -295,7 +298,7 @@ pub mod test_support {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
     use goniod_drivers::clock::UtcMicros;
-    use goniod_drivers::frame::PixelFormat;
+    use goniod_drivers::frame::{PixelFormat, Pixels};
     use goniod_drivers::units::ExposureTime;
 
     /// Settings of an exposure at gain 1.
@@ -332,7 +335,7 @@ mod tests {
     use super::test_support::{info, settings};
     use super::*;
     use goniod_drivers::contract::Identity;
-    use goniod_drivers::frame::PixelFormat;
+    use goniod_drivers::frame::{PixelFormat, Pixels};
     use goniod_drivers::units::ExposureTime;
 
     const WIDTH: usize = 200;
@@ -358,7 +361,7 @@ mod tests {
         history: StreamHistory,
         bracket: Bracket,
         dark: bool,
-        black_before: bool,
+        black_before: Option<Pixels>,
         previous_id: Option<u64>,
     }
 
@@ -371,7 +374,7 @@ mod tests {
             history: StreamHistory::default(),
             bracket: Bracket::default(),
             dark: false,
-            black_before: false,
+            black_before: None,
             previous_id: None,
         };
         (case, t0)
@@ -379,6 +382,8 @@ mod tests {
 
     fn verdict(case: &Case, t0: Instant) -> Result<(), Rejection> {
         let armed = Armed { not_before: t0, discard: 0, due_within: Duration::from_secs(1) };
+        let picture = |pixels: &Pixels| Picture::of(&case.info, pixels, 0);
+        let black_before = case.black_before.as_ref().and_then(picture);
         let expected = Expectation {
             camera: &camera(),
             settings: settings(10_000),
@@ -387,11 +392,10 @@ mod tests {
             now: t0 + Duration::from_secs(5),
             previous_id: case.previous_id,
             dark: case.dark,
-            black_before: case.black_before,
-            skip_rows: 0,
+            black_before: black_before.as_ref(),
             bracket: &case.bracket,
         };
-        judge(&case.info, &case.pixels, &case.history, &expected).map(|_| ())
+        judge(&case.info, picture(&case.pixels).as_mut(), &case.history, &expected)
     }
 
     fn rejected(change: impl FnOnce(&mut Case, Instant)) -> Rejection {
@@ -442,7 +446,7 @@ mod tests {
         let seen = |c: &mut Case, _| {
             keep(c, 1, 2_500);
             c.pixels = black();
-            c.black_before = true;
+            c.black_before = Some(black());
         };
         assert_eq!(rejected(seen), Rejection::Black);
         assert!(matches!(rejected(|c, _| keep(c, 1, 2_500)), Rejection::Bracket(_)));
@@ -507,7 +511,15 @@ mod tests {
         case.dark = true;
         assert_eq!(verdict(&case, t0), Ok(()));
         case.dark = false;
-        case.black_before = true;
+        case.black_before = Some(Pixels::U8(vec![0; WIDTH]));
+        assert_eq!(verdict(&case, t0), Ok(()));
+        // A picture of zeros after a dim one may be a picture lost.
+        let dim = || Pixels::U8((0..WIDTH).map(|i| (i % 2) as u8).collect());
+        case.black_before = Some(dim());
+        assert_eq!(verdict(&case, t0), Err(Rejection::BlackUnconfirmed));
+        case.pixels = dim();
+        assert_eq!(verdict(&case, t0), Ok(()));
+        case.black_before = Some(Pixels::U8(vec![0; WIDTH]));
         assert_eq!(verdict(&case, t0), Ok(()));
     }
 }

@@ -1,7 +1,6 @@
 //! What a picture shows at a glance: a few numbers, a fingerprint and a thinned sample of its levels.
 
 use goniod_drivers::frame::{FrameInfo, Pixels};
-use std::hash::{DefaultHasher, Hasher};
 
 /// Pictures with more pixels are thinned by [`STRIDE`] for the bracket's comparison.
 const WHOLE_SAMPLE: usize = 1 << 16;
@@ -17,6 +16,10 @@ const LIT_PIXELS: usize = 12;
 
 /// Pixels between the ends of the scale from which on noise makes every picture another one.
 const GRAINY_PIXELS: usize = 64;
+
+/// Basis and prime of FNV-1a (Fowler, Noll, Vo), here over levels: pictures that differ in one level have two fingerprints.
+const FNV_BASIS: u64 = 0xcbf2_9ce4_8422_2325;
+const FNV_PRIME: u64 = 0x0000_0100_0000_01b3;
 
 /// A picture in short. Computing it reads every pixel once (a few milliseconds for a megapixel).
 #[derive(Debug, Clone, PartialEq)]
@@ -53,60 +56,47 @@ impl Picture {
         }
         // The highest level of a sum of n frames is n times that of one.
         let levels = info.format.levels() + 1 - info.format.exposures();
-        let light = (f64::from(levels) * LIGHT) as u16;
         match pixels {
-            Pixels::U8(v) => {
-                let mut hasher = DefaultHasher::new();
-                hasher.write(v.get(first..)?);
-                Some(Picture::from_levels(
-                    hasher.finish(),
-                    v.get(first..)?.iter().map(|b| u16::from(*b)),
-                    levels,
-                    light,
-                ))
-            }
-            Pixels::U16(v) => {
-                let mut hasher = DefaultHasher::new();
-                for word in v.get(first..)? {
-                    hasher.write_u16(*word);
-                }
-                Some(Picture::from_levels(hasher.finish(), v.get(first..)?.iter().copied(), levels, light))
-            }
+            Pixels::U8(v) => v.get(first..).map(|v| Picture::from_levels(v, levels)),
+            Pixels::U16(v) => v.get(first..).map(|v| Picture::from_levels(v, levels)),
         }
     }
 
-    fn from_levels(fingerprint: u64, of: impl ExactSizeIterator<Item = u16>, levels: u32, light: u16) -> Picture {
-        let count = of.len();
-        let stride = if count > WHOLE_SAMPLE { STRIDE } else { 1 };
-        let mut picture = Picture {
-            fingerprint,
-            lowest: u16::MAX,
-            highest: 0,
-            mean: 0.0,
-            levels,
-            sample: Vec::with_capacity(count / stride + 1),
-            lit: 0,
-            between: 0,
-            shows_light: false,
-        };
-        let mut sum = 0_u64;
-        for (i, level) in of.enumerate() {
-            picture.lowest = picture.lowest.min(level);
-            picture.highest = picture.highest.max(level);
+    fn from_levels<T: Copy + Into<u16>>(of: &[T], levels: u32) -> Picture {
+        let (light, top) = ((f64::from(levels) * LIGHT) as u16, u16::try_from(levels - 1).unwrap_or(u16::MAX));
+        let (mut lowest, mut highest, mut sum) = (u16::MAX, 0_u16, 0_u64);
+        let (mut lit, mut between, mut fingerprint) = (0_usize, 0_usize, FNV_BASIS);
+        for level in of {
+            let level: u16 = (*level).into();
+            lowest = lowest.min(level);
+            highest = highest.max(level);
             sum += u64::from(level);
-            picture.lit += usize::from(level > light);
-            picture.between += usize::from(level > 0 && u32::from(level) + 1 < levels);
-            if i % stride == 0 {
-                picture.sample.push(level);
-            }
+            lit += usize::from(level > light);
+            between += usize::from(level > 0 && level < top);
+            fingerprint = (fingerprint ^ u64::from(level)).wrapping_mul(FNV_PRIME);
         }
-        picture.mean = sum as f64 / count as f64;
-        picture
+        let stride = if of.len() > WHOLE_SAMPLE { STRIDE } else { 1 };
+        Picture {
+            fingerprint,
+            lowest,
+            highest,
+            mean: sum as f64 / of.len() as f64,
+            levels,
+            sample: of.iter().step_by(stride).map(|level| (*level).into()).collect(),
+            lit,
+            between,
+            shows_light: false,
+        }
     }
 
     /// All pixels have the same level.
     pub fn is_constant(&self) -> bool {
         self.lowest == self.highest
+    }
+
+    /// This black picture confirms the next one, unless that has lost even what little this one shows.
+    pub fn confirms(&self, next: &Picture) -> bool {
+        self.is_constant() || !next.is_constant()
     }
 
     /// No pixel but a few hot ones has light.

@@ -5,11 +5,11 @@
 use super::fakes::{self, DARK_SLOT, Shared};
 use super::run;
 use super::state::{Ending, State};
-use super::tests::{Night, counts, is_safe, job, layout_of, plan, stored_under_true_labels, view};
+use super::tests::{Night, begun, counts, is_safe, job, plan, stored_under_true_labels, view};
 use super::trouble_tests::{S, disk, trouble, watched, when};
 use super::verbs::Verb;
+use crate::archive::RunDir;
 use crate::archive::verify::verify;
-use crate::archive::{NewRun, RunDir};
 use crate::control::events::{Event, EventBus};
 use crate::control::plan::{Forecast, FrameArray, Plan, Step};
 use goniod_drivers::clock::{Clock, UtcMicros};
@@ -136,9 +136,7 @@ async fn requests_while_the_bench_is_made_safe_change_nothing() {
 async fn after_a_panic_the_journal_tells_it_and_the_next_run_is_possible() {
     for device in ["ccd", "tilt", "shutter"] {
         let (plan, clock) = (plan(), Clock::starting_at(UtcMicros(0)));
-        let runs = tempfile::tempdir().unwrap();
-        let new = NewRun { run_id: "night", plan_toml: "", files: &[], layout: &layout_of(&plan) };
-        let archive = Arc::new(RunDir::create(runs.path(), &new).unwrap());
+        let (_runs, archive) = begun(&plan);
         let path = archive.path().to_path_buf();
         let (mut bench, world) = fakes::bench(clock);
         let later = Arc::clone(&world);
@@ -185,9 +183,7 @@ fn long_plan() -> Plan {
 #[tokio::test(start_paused = true)]
 async fn a_listener_that_never_reads_holds_nobody_up_and_the_journal_has_everything() {
     let (plan, clock) = (long_plan(), Clock::starting_at(UtcMicros(0)));
-    let runs = tempfile::tempdir().unwrap();
-    let new = NewRun { run_id: "night", plan_toml: "", files: &[], layout: &layout_of(&plan) };
-    let archive = Arc::new(RunDir::create(runs.path(), &new).unwrap());
+    let (_runs, archive) = begun(&plan);
     let path = archive.path().to_path_buf();
     let (mut bench, _world) = fakes::bench(clock);
     let events = EventBus::default();
@@ -212,9 +208,7 @@ async fn a_listener_that_never_reads_holds_nobody_up_and_the_journal_has_everyth
 #[tokio::test(start_paused = true)]
 async fn a_sequencer_that_waits_gives_signs_of_life() {
     let (plan, clock) = (plan(), Clock::starting_at(UtcMicros(0)));
-    let runs = tempfile::tempdir().unwrap();
-    let new = NewRun { run_id: "night", plan_toml: "", files: &[], layout: &layout_of(&plan) };
-    let archive = Arc::new(RunDir::create(runs.path(), &new).unwrap());
+    let (_runs, archive) = begun(&plan);
     let (mut bench, _world) = fakes::bench(clock);
     let (events, (verbs, asked)) = (EventBus::default(), mpsc::channel(1));
     let beats = events.beats();

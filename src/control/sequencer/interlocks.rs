@@ -18,6 +18,8 @@ pub const SILENT_PERIODS: u32 = 3;
 pub enum Reason {
     /// The lamp's warm-up is not over.
     LampWarming,
+    /// The lamp is out: somebody must strike it, once it has cooled.
+    LampOut,
     /// The light monitor reads another level than at the start.
     LampUnsteady,
     /// A device is too warm.
@@ -38,7 +40,7 @@ pub enum Reason {
 pub enum Gauge {
     /// Seconds since the run began.
     LampOn,
-    /// Power of the light monitor over that at the start, less one.
+    /// Power of the light monitor over that at the start, or since the lamp was struck again, less one.
     Light,
     /// State of the lamp by its light, one of [`Gauge::LAMP_STEADY`] and its like.
     Lamp,
@@ -91,8 +93,9 @@ pub struct Gauges {
 
 impl Reason {
     /// All reasons.
-    pub const ALL: [Reason; 7] = [
+    pub const ALL: [Reason; 8] = [
         Reason::LampWarming,
+        Reason::LampOut,
         Reason::LampUnsteady,
         Reason::Temperature,
         Reason::Door,
@@ -105,6 +108,7 @@ impl Reason {
     pub fn name(self) -> &'static str {
         match self {
             Reason::LampWarming => "lamp-warming",
+            Reason::LampOut => "lamp-out",
             Reason::LampUnsteady => "lamp-unsteady",
             Reason::Temperature => "temperature",
             Reason::Door => "door",
@@ -212,8 +216,9 @@ fn judge(gauge: &Gauge, value: f64, limits: &Interlocks) -> (Reason, bool, bool)
     match gauge {
         Gauge::LampOn => (Reason::LampWarming, value < limits.warm_up_s, false),
         Gauge::Light => (Reason::LampUnsteady, beyond(limits.lamp_drift_warning), beyond(limits.lamp_drift_alarm)),
-        Gauge::Lamp if value == Gauge::LAMP_WARMING => (Reason::LampWarming, true, false),
-        Gauge::Lamp => (Reason::LampUnsteady, value >= Gauge::LAMP_DRIFTING, value >= Gauge::LAMP_OUT),
+        Gauge::Lamp if value >= Gauge::LAMP_OUT => (Reason::LampOut, true, false),
+        Gauge::Lamp if value >= Gauge::LAMP_DRIFTING => (Reason::LampUnsteady, true, false),
+        Gauge::Lamp => (Reason::LampWarming, value >= Gauge::LAMP_WARMING, false),
         Gauge::LightRange => (Reason::LampUnsteady, false, value >= 0.5),
         Gauge::Temperature(_) => {
             (Reason::Temperature, above(limits.temperature_warning_c), above(limits.temperature_alarm_c))
@@ -342,6 +347,7 @@ mod tests {
         match (gauge, level) {
             (_, 9) => (Some(Reason::Silent), None),
             (_, 0) | (Gauge::Door | Gauge::LightRange, 1) => (None, None),
+            (Gauge::Lamp, 2) => (Some(Reason::LampOut), None),
             (Gauge::LampOn, _) | (_, 1) => (Some(reason), None),
             _ => (None, Some(reason)),
         }

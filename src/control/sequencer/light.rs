@@ -4,6 +4,9 @@
 use super::interlocks::Gauge;
 use crate::config::instrument::Instrument;
 use crate::config::night::{Interlocks, seconds};
+use crate::control::events::LampNow;
+use crate::control::lamp_hours::LampLog;
+use goniod_drivers::clock::{Clock, UtcMicros};
 use goniod_drivers::contract::LightReading;
 use goniod_drivers::devices::lamp::{LampConfig, LampModel, LampState};
 use std::time::Duration;
@@ -23,12 +26,14 @@ pub struct LightRules {
     pub min_w: Option<f64>,
     /// Power above which something is wrong, watts.
     pub max_w: Option<f64>,
+    /// Where the hours of the lamp are kept.
+    pub hours: Option<LampLog>,
 }
 
 /// The light of a run under way.
 pub(super) struct Light {
     rules: LightRules,
-    lamp: Option<LampModel>,
+    lamp: LampModel,
     last_w: Option<f64>,
 }
 
@@ -45,11 +50,10 @@ impl LightRules {
                 warm_up,
                 slope_over: warm_up.min(SLOPE_OVER).max(period * SLOPE_PERIODS),
                 restrike: instrument.lamp.restrike_s.map_or(LampConfig::default().restrike, seconds),
-                rated_hours: instrument.lamp.rated_hours,
                 ..LampConfig::default()
             }
         });
-        LightRules { lamp, min_w: monitor.min_w, max_w: monitor.max_w }
+        LightRules { lamp, min_w: monitor.min_w, max_w: monitor.max_w, hours: None }
     }
 }
 
@@ -58,32 +62,73 @@ impl LightRules {
 impl Light {
     /// Nothing was read yet.
     pub(super) fn new(rules: LightRules) -> Light {
-        let lamp = rules.lamp.map(|config| LampModel::new(config, Duration::ZERO, 0));
+        let lamp = LampModel::new(rules.lamp.unwrap_or_default());
         Light { rules, lamp, last_w: None }
     }
 
     /// True when the lamp must be watched before its first level counts.
     pub(super) fn has_lamp(&self) -> bool {
-        self.lamp.is_some()
+        self.rules.lamp.is_some()
+    }
+
+    /// Time it was seen burning.
+    pub(super) fn burnt(&self) -> Duration {
+        self.lamp.burnt()
+    }
+
+    /// The lamp, where its warm-up is known.
+    fn judged(&self) -> Option<&LampModel> {
+        self.rules.lamp.map(|_| &self.lamp)
     }
 
     /// A reading came.
     pub(super) fn read(&mut self, reading: &LightReading, now: Instant) {
         self.last_w = Some(reading.power_w).filter(|_| !reading.saturated);
-        if let Some(lamp) = &mut self.lamp {
-            lamp.observe(reading.power_w, reading.saturated, now);
-        }
+        self.lamp.observe(reading.power_w, reading.saturated, now);
     }
 
-    /// True once a level may be taken to compare with: the lamp is steady, or nothing is known of lamps here.
+    /// True while levels mean something: the lamp is steady, or nothing is known of lamps here.
     pub(super) fn settled(&self, now: Instant) -> bool {
-        self.lamp.as_ref().is_none_or(|lamp| lamp.usable(now))
+        self.judged().is_none_or(|lamp| lamp.usable(now))
+    }
+
+    /// True while a level may be compared with another: the lamp burns and is warm, or nothing is known of lamps here.
+    pub(super) fn warm(&self, now: Instant) -> bool {
+        let state = self.judged().map(|lamp| lamp.state(now));
+        matches!(state, None | Some(LampState::Steady | LampState::Drifting))
+    }
+
+    /// Times the lamp was seen going out.
+    pub(super) fn losses(&self) -> u32 {
+        self.judged().map_or(0, LampModel::losses)
+    }
+
+    /// How long a lamp that is not steady may take at most to be so, besides the time until somebody strikes it.
+    pub(super) fn lock_out(&self, now: Instant) -> Duration {
+        let lamp = self.judged().filter(|lamp| !lamp.usable(now));
+        lamp.map_or(Duration::ZERO, |lamp| lamp.config().restrike + lamp.config().warm_up)
+    }
+
+    /// The lamp in words for events, where it is judged and something was seen of it.
+    pub(super) fn now(&self, clock: Clock) -> Option<LampNow> {
+        let lamp = self.judged()?;
+        let now = clock.now();
+        let stamp = |at: Instant| UtcMicros(clock.utc().0 + at.saturating_duration_since(now).as_micros() as i64);
+        let warm_up_s = lamp.config().warm_up.as_secs_f64();
+        Some(match lamp.state(now) {
+            LampState::Unknown => return None,
+            LampState::Cooling(until) => LampNow::Cooling { strike_from: stamp(until), warm_up_s },
+            LampState::Off => LampNow::Off { warm_up_s },
+            LampState::Warming(until) => LampNow::Warming { steady_from: stamp(until) },
+            LampState::Steady => LampNow::Steady,
+            LampState::Drifting => LampNow::Drifting,
+        })
     }
 
     /// The gauges that follow from the readings so far.
     pub(super) fn gauges(&self, now: Instant) -> Vec<(Gauge, f64)> {
         let mut all = Vec::new();
-        if let Some(lamp) = &self.lamp {
+        if let Some(lamp) = self.judged() {
             let value = match lamp.state(now) {
                 LampState::Steady => Gauge::LAMP_STEADY,
                 LampState::Unknown | LampState::Warming(_) => Gauge::LAMP_WARMING,
@@ -93,9 +138,7 @@ impl Light {
             all.push((Gauge::Lamp, value));
         }
         let LightRules { min_w, max_w, .. } = self.rules;
-        let state = self.lamp.as_ref().map(|lamp| lamp.state(now));
-        let warm = matches!(state, None | Some(LampState::Steady | LampState::Drifting));
-        if let Some(power_w) = self.last_w.filter(|_| warm && (min_w.is_some() || max_w.is_some())) {
+        if let Some(power_w) = self.last_w.filter(|_| self.warm(now) && (min_w.is_some() || max_w.is_some())) {
             let beyond = min_w.is_some_and(|min| power_w < min) || max_w.is_some_and(|max| power_w > max);
             all.push((Gauge::LightRange, f64::from(u8::from(beyond))));
         }
@@ -121,7 +164,7 @@ mod tests {
             slope_over: Duration::from_secs(120),
             ..LampConfig::default()
         };
-        LightRules { lamp: Some(lamp), min_w: Some(1e-4), max_w: Some(1e-2) }
+        LightRules { lamp: Some(lamp), min_w: Some(1e-4), max_w: Some(1e-2), hours: None }
     }
 
     /// Readings of `power_w` every 10 s from second `from` to `to`; the gauges after the last.

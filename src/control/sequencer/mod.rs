@@ -10,6 +10,7 @@
 //! - [`stage`]: the state, told to whoever watches
 //! - [`run`]: the night; [`step`]: one exposure of it, [`memory`]: what outlives it; [`watch`]: reads the gauges
 
+mod hours;
 pub mod interlocks;
 pub mod layout;
 pub mod light;
@@ -29,6 +30,8 @@ mod disk_tests;
 mod edge_tests;
 #[cfg(test)]
 mod fakes;
+#[cfg(test)]
+mod lamp_tests;
 #[cfg(test)]
 mod operator_tests;
 #[cfg(test)]

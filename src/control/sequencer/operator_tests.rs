@@ -6,10 +6,10 @@ use super::interlocks::Reason;
 use super::recovery::Policies;
 use super::run;
 use super::state::{Ending, State};
-use super::tests::{Night, counts, is_safe, job, layout_of, plan};
+use super::tests::{Night, begun, counts, is_safe, job, plan};
 use super::verbs::Verb;
+use crate::archive::RunDir;
 use crate::archive::rows::StepState;
-use crate::archive::{NewRun, RunDir};
 use crate::control::events::{Event, EventBus};
 use crate::control::plan::Plan;
 use goniod_drivers::clock::{Clock, UtcMicros};
@@ -54,9 +54,8 @@ fn operator(desk: Desk) -> Operator {
 async fn night<F: Future<Output = ()> + Send + 'static>(
     person: impl FnOnce(Desk, mpsc::Sender<Verb>, Shared) -> F,
 ) -> Night {
-    let (plan, runs, desk) = (two_sides(), tempfile::tempdir().unwrap(), Desk::default());
-    let new = NewRun { run_id: "night", plan_toml: "", files: &[], layout: &layout_of(&plan) };
-    let archive = Arc::new(RunDir::create(runs.path(), &new).unwrap());
+    let (plan, desk) = (two_sides(), Desk::default());
+    let (runs, archive) = begun(&plan);
     let path = archive.path().to_path_buf();
     let clock = Clock::starting_at(UtcMicros(1_700_000_000_000_000));
     let (mut bench, world) = fakes::bench(clock);

@@ -5,6 +5,7 @@
 use crate::archive::rows::{EventRow, FrameRow, Summary};
 use crate::archive::{ArchiveError, RunDir};
 use crate::control::events::{Event, EventBus, Stamped};
+use crate::control::plan::{Step, View};
 use goniod_drivers::clock::{Clock, UtcMicros};
 use goniod_drivers::frame::Frame;
 use std::sync::Arc;
@@ -65,9 +66,18 @@ pub struct FramePlace<'a> {
 enum Entry {
     Event(UtcMicros, Event),
     Frame(UtcMicros, Arc<FrameEntry>, Option<OwnedSemaphorePermit>),
-    Missing { utc: UtcMicros, step: u32, reason: String, event: Event },
+    Missing(UtcMicros, Lacking),
     Retake(UtcMicros, u32, Event),
     Flush(oneshot::Sender<()>),
+}
+
+/// An exposure that cannot be had.
+struct Lacking {
+    step: u32,
+    /// Camera, array index and exposure index of its frame, where the plan has its view.
+    place: Option<(String, u32, u32)>,
+    reason: String,
+    event: Event,
 }
 
 struct Writer {
@@ -146,9 +156,10 @@ impl Recorder {
     }
 
     /// Puts a missing exposure into the queue.
-    pub async fn missing(&self, step: u32, view: u32, reason: String) {
-        let event = Event::StepMissing { step, view, reason: reason.clone() };
-        self.put(Entry::Missing { utc: self.clock.utc(), step, reason, event }).await;
+    pub async fn missing(&self, step: &Step, view: Option<&View>, reason: String) {
+        let place = view.map(|view| (view.camera.clone(), view.array_index, step.exposure_index));
+        let event = Event::StepMissing { step: step.number, view: step.view, reason: reason.clone() };
+        self.put(Entry::Missing(self.clock.utc(), Lacking { step: step.number, place, reason, event })).await;
     }
 
     /// Has the frames of a view forgotten and its steps planned again.
@@ -201,7 +212,7 @@ impl Writer {
             match entry {
                 Entry::Event(utc, event) => self.event(utc, event).await,
                 Entry::Frame(utc, entry, permit) => self.frame(utc, entry, permit).await,
-                Entry::Missing { utc, step, reason, event } => self.missing(utc, step, reason, event).await,
+                Entry::Missing(utc, lacking) => self.missing(utc, lacking).await,
                 Entry::Retake(utc, view, event) => self.retake(utc, view, event).await,
                 Entry::Flush(done) => drop(done),
             }
@@ -244,12 +255,16 @@ impl Writer {
         drop(permit);
     }
 
-    async fn missing(&mut self, utc: UtcMicros, step: u32, reason: String, event: Event) {
+    async fn missing(&mut self, utc: UtcMicros, Lacking { step, place, reason, event }: Lacking) {
         if self.standing.borrow().failure.is_some() {
             return;
         }
         let row = row(self.seq, utc, &event);
-        let written = self.persist(move |run| run.with(|journal| journal.step_missing(step, &reason, &row))).await;
+        let write = move |run: &RunDir| {
+            place.iter().try_for_each(|(camera, array, exposure)| run.forget_frame(camera, *array, *exposure))?;
+            run.with(|journal| journal.step_missing(step, &reason, &row))
+        };
+        let written = self.persist(write).await;
         if written.is_ok() {
             self.standing.send_modify(|s| {
                 s.summary.planned = s.summary.planned.saturating_sub(1);
@@ -324,7 +339,8 @@ impl Writer {
     }
 }
 
-fn row(seq: u64, utc: UtcMicros, event: &Event) -> EventRow {
+/// The journal's row of an event.
+pub fn row(seq: u64, utc: UtcMicros, event: &Event) -> EventRow {
     // Events are plain data of ours: JSON always holds them.
     let json = serde_json::to_string(event).unwrap_or_default();
     EventRow { seq, utc_us: utc.0, kind: event.kind().to_owned(), json }

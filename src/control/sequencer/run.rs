@@ -150,9 +150,8 @@ pub async fn run(
             (Ending::Crashed, Some(format!("the program failed: {why}; please report this")))
         }),
     };
-    let memory = std::mem::take(&mut night.memory);
-    drop(night);
-    end(job, bench, (stage, archive), memory, ended).await
+    let Night { memory, watch, .. } = night;
+    end(job, bench, (stage, archive), (memory, watch), ended).await
 }
 
 /// A way for the verb `safe` that no sequencer stands in, and the verbs for the sequencer.
@@ -198,7 +197,7 @@ impl Night<'_> {
                 None => {
                     let reason = "the plan has no such view";
                     for step in todo {
-                        self.stage.recorder().missing(step.number, step.view, reason.to_owned()).await;
+                        self.stage.recorder().missing(step, None, reason.to_owned()).await;
                     }
                     None
                 }
@@ -210,39 +209,66 @@ impl Night<'_> {
         (Ending::Completed, None)
     }
 
-    /// The steps `todo` of a bracket; where the lamp drifts too far meanwhile, the whole bracket again, a bounded number
-    /// of times. `Some` when the run must end.
+    /// The steps `todo` of a bracket; where the lamp drifts too far or goes out meanwhile, the whole bracket again, a
+    /// bounded number of times. `Some` when the run must end.
     async fn bracket(&mut self, view: &View, all: &[Step], mut todo: Vec<&Step>) -> Option<Ended> {
         let limit = self.watch.drift_per_view();
-        let limit = limit.filter(|_| self.bench.devices.light_monitor.is_some() && view.subject != Subject::Dark);
+        let lit = self.bench.devices.light_monitor.is_some() && view.subject != Subject::Dark;
+        let limit = limit.filter(|_| lit);
         if limit.is_some() && todo.len() < all.len() {
             // Begun by another process: what the lamp did since then is not known.
             self.stage.recorder().retake(view.id, None).await;
             todo = all.iter().collect();
         }
         for retakes in 0.. {
-            if let Some(ended) = self.between().await {
-                return Some(ended);
-            }
-            let before = self.watch.level(self.bench, self.stage, Some(view.id)).await;
+            let before = match self.level_before(view).await {
+                Ok(before) => before,
+                Err(ended) => return Some(ended),
+            };
+            let losses = self.watch.lamp_losses();
+            self.watch.forget_levels();
             for step in &todo {
                 if let Some(ended) = self.until_done(view, step).await {
                     return Some(ended);
                 }
             }
-            let Some(limit) = limit else { break };
+            if limit.is_none() && !(lit && self.watch.judges_lamp()) {
+                break;
+            }
             let after = self.watch.level(self.bench, self.stage, Some(view.id)).await;
             // A level that cannot be had proves nothing.
-            let change = before.filter(|w| *w > 0.0).zip(after).map(|(before, after)| after / before - 1.0);
-            let steady = change.is_some_and(|change| change.abs() <= limit);
-            if steady || retakes == MOST_RETAKES {
+            let before = before.filter(|w| *w > 0.0).filter(|_| after.is_some());
+            let change = before.and_then(|before| self.watch.largest_change(before));
+            let steady = limit.is_none_or(|limit| change.is_some_and(|change| change.abs() <= limit));
+            let out = self.watch.lamp_losses() != losses;
+            if !out && (steady || retakes == MOST_RETAKES) {
                 break;
             }
             self.memory.forget_bracket();
             self.stage.recorder().retake(view.id, change).await;
             todo = all.iter().collect();
+            if retakes == MOST_RETAKES {
+                for step in todo {
+                    let reason = format!("the lamp went out while the view was taken, {} times", retakes + 1);
+                    self.stage.recorder().missing(step, Some(view), reason).await;
+                }
+                break;
+            }
         }
         None
+    }
+
+    /// The level at the beginning of a bracket, of a lamp that is steady where it is judged; `Err` when the run must end.
+    async fn level_before(&mut self, view: &View) -> Result<Option<f64>, Ended> {
+        loop {
+            if let Some(ended) = self.between().await {
+                return Err(ended);
+            }
+            let level = self.watch.level(self.bench, self.stage, Some(view.id)).await;
+            if level.is_none() || self.watch.lamp_is_steady(self.stage.clock().now()) {
+                return Ok(level);
+            }
+        }
     }
 
     /// One step, again after each interruption, until it is stored or missing; `Some` when the run must end.
@@ -267,7 +293,7 @@ impl Night<'_> {
                 None => self.memory.doubt_all(self.bench),
                 Some(StepEnd::Taken) => return None,
                 Some(StepEnd::Missing(reason)) => {
-                    self.stage.recorder().missing(number, view_id, reason).await;
+                    self.stage.recorder().missing(step, Some(view), reason).await;
                     return None;
                 }
                 Some(StepEnd::Lost(id, after)) => {
@@ -385,7 +411,8 @@ impl Night<'_> {
             *since = None;
             return None;
         }
-        let (now, longest) = (self.stage.clock().now(), self.watch.longest_suspension());
+        let now = self.stage.clock().now();
+        let longest = self.watch.longest_suspension(now);
         if now - *since.get_or_insert(now) < longest {
             return None;
         }
@@ -431,7 +458,7 @@ async fn end(
     job: &Job<'_>,
     bench: &mut Bench,
     (stage, archive): (Stage, Arc<RunDir>),
-    mut memory: Memory,
+    (mut memory, mut watch): (Memory, Watch),
     (mut ending, mut message): Ended,
 ) -> Result<Outcome, ArchiveError> {
     let changed = stage.enter(&Input::End(ending));
@@ -444,6 +471,7 @@ async fn end(
     };
     let (safe, ()) = tokio::join!(bench.make_safe(&job.safe_state, stage.clock()), told);
     record_safe(&stage, &safe).await;
+    watch.end(bench, &stage).await;
     stage.recorder().flush().await;
     if let Some((failed, why)) = failure(&stage.recorder().standing()) {
         (ending, message) = (failed, why);

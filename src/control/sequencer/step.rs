@@ -119,7 +119,7 @@ impl Hands<'_> {
             Tried::Ended(StepEnd::Missing(reason)) => reason,
             Tried::Ended(end) => return Some(end),
         };
-        self.stage.recorder().missing(step.number, view.id, reason).await;
+        self.stage.recorder().missing(&step, Some(view), reason).await;
         self.memory.doubted = None;
         self.memory.given_up(view.id).map(StepEnd::Missing)
     }

@@ -152,6 +152,14 @@ pub(super) fn job(plan: &Plan) -> Job<'_> {
     }
 }
 
+/// A run directory for a plan, in a folder that lives as long as the first of both.
+pub(super) fn begun(plan: &Plan) -> (tempfile::TempDir, Arc<RunDir>) {
+    let runs = tempfile::tempdir().unwrap();
+    let new = NewRun { run_id: "night", plan_toml: "", files: &[], layout: &layout_of(plan) };
+    let archive = RunDir::create(runs.path(), &new).unwrap();
+    (runs, Arc::new(archive))
+}
+
 async fn carry_out(
     plan: &Plan,
     bench: &mut crate::control::devices::bench::Bench,
@@ -252,9 +260,7 @@ async fn a_device_lost_once_is_opened_anew_and_nothing_is_missing() {
         for kind in [ErrorKind::Lost, ErrorKind::Timeout, ErrorKind::Garbled, ErrorKind::Busy] {
             let plan = plan();
             let clock = Clock::starting_at(UtcMicros(0));
-            let runs = tempfile::tempdir().unwrap();
-            let new = NewRun { run_id: "night", plan_toml: "", files: &[], layout: &layout_of(&plan) };
-            let archive = Arc::new(RunDir::create(runs.path(), &new).unwrap());
+            let (_runs, archive) = begun(&plan);
             let path = archive.path().to_path_buf();
             let (mut bench, world) = fakes::bench(clock);
             // In the middle of the night, and the first opening anew fails too.
@@ -278,9 +284,7 @@ async fn a_device_lost_once_is_opened_anew_and_nothing_is_missing() {
 async fn a_camera_lost_for_ever_leaves_its_exposures_missing_and_the_others_stored() {
     let plan = plan();
     let clock = Clock::starting_at(UtcMicros(0));
-    let runs = tempfile::tempdir().unwrap();
-    let new = NewRun { run_id: "night", plan_toml: "", files: &[], layout: &layout_of(&plan) };
-    let archive = Arc::new(RunDir::create(runs.path(), &new).unwrap());
+    let (_runs, archive) = begun(&plan);
     let path = archive.path().to_path_buf();
     let (mut bench, world) = fakes::bench(clock);
     let later = Arc::clone(&world);
@@ -343,9 +347,7 @@ async fn stop_finishes_the_exposure_and_abort_gives_it_up_both_end_safe_and_can_
 async fn a_pause_closes_the_shutter_and_resume_goes_on() {
     let plan = plan();
     let clock = Clock::starting_at(UtcMicros(0));
-    let runs = tempfile::tempdir().unwrap();
-    let new = NewRun { run_id: "night", plan_toml: "", files: &[], layout: &layout_of(&plan) };
-    let archive = Arc::new(RunDir::create(runs.path(), &new).unwrap());
+    let (_runs, archive) = begun(&plan);
     let (mut bench, world) = fakes::bench(clock);
     let (verbs, asked) = mpsc::channel(1);
     let operator = tokio::spawn(async move {

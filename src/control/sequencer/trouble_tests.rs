@@ -24,7 +24,7 @@ use std::time::Duration;
 use tokio::sync::mpsc;
 
 pub(super) const S: Duration = Duration::from_secs(1);
-const START_US: i64 = 1_700_000_000_000_000;
+pub(super) const START_US: i64 = 1_700_000_000_000_000;
 
 /// One night: the job changed by `change`, and `script` playing operator and fate beside it.
 pub(super) async fn trouble<F: Future<Output = ()> + Send + 'static>(
@@ -303,48 +303,6 @@ async fn a_warning_suspends_until_it_is_gone_and_the_night_goes_on_by_itself() {
         .await;
         assert!(was_suspended_for(&night, reason), "{reason:?}");
         all_is_stored(&night);
-    }
-}
-
-/// What the light monitor must tell of the lamp, by a warm-up of two minutes.
-fn lamp(job: &mut Job<'_>) {
-    use goniod_drivers::devices::lamp::LampConfig;
-    let lamp = LampConfig { warm_up: 120 * S, slope_over: 120 * S, ..LampConfig::default() };
-    job.light = super::light::LightRules { lamp: Some(lamp), min_w: Some(1e-4), max_w: Some(1e-2) };
-    job.interlocks = Some(Interlocks { lamp_drift_alarm: None, lamp_drift_warning: None, ..watched() });
-}
-
-#[tokio::test(start_paused = true)]
-async fn the_first_view_waits_for_a_lamp_that_warms_up() {
-    let night = trouble(lamp, disk(), async |_verbs, world: Shared| {
-        // Dim and rising at first, then as ever.
-        for seconds in 0..30 {
-            world.lock().unwrap().power_w = 1e-3 * (0.3 + 0.7 * f64::from(seconds) / 30.0);
-            tokio::time::sleep(10 * S).await;
-        }
-        world.lock().unwrap().power_w = 1e-3;
-        std::future::pending().await
-    })
-    .await;
-    assert!(was_suspended_for(&night, Reason::LampWarming));
-    all_is_stored(&night);
-    let begun_s = when(&night, |e| matches!(e, Event::FrameStored { .. }));
-    // The light stands still from 300 s on, and its slope over two minutes is below 0.2 % a minute some time after.
-    assert!((400.0..440.0).contains(&begun_s), "{begun_s}");
-}
-
-#[tokio::test(start_paused = true)]
-async fn a_lamp_that_goes_out_and_a_power_that_cannot_be_its_own_end_the_run_safely() {
-    for power_w in [1e-12, 2e-2] {
-        let night = trouble(lamp, disk(), async move |_verbs, world: Shared| {
-            tokio::time::sleep(133 * S).await;
-            world.lock().unwrap().power_w = power_w;
-            std::future::pending().await
-        })
-        .await;
-        assert_eq!(night.outcome.ending, Ending::Alarm, "{power_w}: {:?}", night.outcome);
-        assert!(night.outcome.message.as_ref().unwrap().contains("lamp-unsteady"), "{:?}", night.outcome.message);
-        is_safe(&night);
     }
 }
 

@@ -5,7 +5,9 @@ use super::stage::Stage;
 use super::state::{Ending, Input, State};
 use crate::control::events::Event;
 use serde::{Deserialize, Serialize};
-use tokio::signal::unix::{SignalKind, signal};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::mpsc;
 
 /// A request to a run.
@@ -185,26 +187,42 @@ impl Listener {
     }
 }
 
-/// Turns the first SIGINT or SIGTERM into stop and each further one into abort, for as long as the runtime lives.
+/// The signals that ask a program to end well: SIGTERM, SIGINT, SIGQUIT, and SIGHUP of a terminal that is closed, unless
+/// the program was started so that it survives that (nohup).
+///
+/// # Errors
+/// When the operating system refuses the handlers.
+pub fn ending_signals() -> std::io::Result<Vec<Signal>> {
+    let hangup = (!ignores_hangup()).then(SignalKind::hangup);
+    let kinds = [SignalKind::terminate(), SignalKind::interrupt(), SignalKind::quit()].into_iter().chain(hangup);
+    kinds.map(signal).collect()
+}
+
+/// As the kernel tells in the mask of ignored signals; signal 1 is its lowest bit.
+fn ignores_hangup() -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 1 == 1)
+}
+
+/// Turns the first of the signals that ask for an end into stop and each further one into abort, for as long as the
+/// runtime lives.
 ///
 /// # Errors
 /// When the operating system refuses the handlers.
 pub fn listen_to_signals(verbs: mpsc::Sender<Verb>) -> std::io::Result<()> {
-    let mut interrupt = signal(SignalKind::interrupt())?;
-    let mut terminate = signal(SignalKind::terminate())?;
-    tokio::spawn(async move {
-        let mut verb = Verb::Stop;
-        loop {
-            tokio::select! {
-                _ = terminate.recv() => {}
-                _ = interrupt.recv() => {}
+    let asked = Arc::new(AtomicBool::new(false));
+    for mut signal in ending_signals()? {
+        let (verbs, asked) = (verbs.clone(), Arc::clone(&asked));
+        tokio::spawn(async move {
+            while signal.recv().await.is_some() {
+                let verb = if asked.swap(true, Ordering::SeqCst) { Verb::Abort } else { Verb::Stop };
+                if verbs.send(verb).await.is_err() {
+                    return;
+                }
             }
-            if verbs.send(verb).await.is_err() {
-                return;
-            }
-            verb = Verb::Abort;
-        }
-    });
+        });
+    }
     Ok(())
 }
 

@@ -1,12 +1,13 @@
 //! Reads the gauges of the interlocks between exposures, keeps their ages, and tells what they mean together.
 
+use super::hours::Hours;
 use super::interlocks::{Gauge, Gauges, Trips, evaluate};
 use super::light::{Light, LightRules};
 use super::stage::Stage;
 use crate::archive::RunDir;
 use crate::config::night::Interlocks;
 use crate::control::devices::bench::Bench;
-use crate::control::events::Event;
+use crate::control::events::{Event, LampNow};
 use goniod_drivers::error::Result;
 use std::sync::Arc;
 use std::time::Duration;
@@ -32,10 +33,16 @@ pub(super) struct Watch {
     begun: Instant,
     due: Instant,
     told: Trips,
-    /// The first level of the light monitor.
+    /// The first level of the light monitor, of the lamp as it was struck last.
     reference: Option<f64>,
+    /// Lowest and highest level since they were forgotten.
+    levels: Option<(f64, f64)>,
+    /// What was told of the lamp.
+    lamp: Option<LampNow>,
     /// What the levels say of the lamp.
     light: Light,
+    /// The hours of the lamp, where they are kept.
+    hours: Option<Hours>,
     /// The light monitor is open.
     open: bool,
 }
@@ -53,6 +60,9 @@ impl Watch {
             due: now,
             told: Trips::default(),
             reference: None,
+            levels: None,
+            lamp: None,
+            hours: rules.hours.clone().map(Hours::new),
             light: Light::new(rules),
             open: false,
         }
@@ -68,19 +78,48 @@ impl Watch {
         self.limits.as_ref()?.drift_per_view
     }
 
-    /// How long the run may stay suspended.
-    pub(super) fn longest_suspension(&self) -> Duration {
-        self.limits.clone().unwrap_or_default().longest_suspension()
+    /// How long the run may stay suspended: a lamp that is out must cool and warm up besides.
+    pub(super) fn longest_suspension(&self, now: Instant) -> Duration {
+        self.limits.clone().unwrap_or_default().longest_suspension() + self.light.lock_out(now)
+    }
+
+    /// True where the light monitor tells whether the lamp burns and is steady.
+    pub(super) fn judges_lamp(&self) -> bool {
+        self.limits.is_some() && self.light.has_lamp()
+    }
+
+    /// True unless the lamp is known not to be steady.
+    pub(super) fn lamp_is_steady(&self, now: Instant) -> bool {
+        !self.judges_lamp() || self.light.settled(now)
+    }
+
+    /// A bracket begins.
+    pub(super) fn forget_levels(&mut self) {
+        self.levels = None;
+    }
+
+    /// Largest change of any level since the bracket began from the one at its beginning, relative; a lamp may have gone
+    /// and come back. `None` where no level was had.
+    pub(super) fn largest_change(&self, before: f64) -> Option<f64> {
+        let (low, high) = self.levels.map(|(low, high)| (low / before - 1.0, high / before - 1.0))?;
+        Some(if low.abs() > high.abs() { low } else { high })
+    }
+
+    /// Times the lamp was seen going out.
+    pub(super) fn lamp_losses(&self) -> u32 {
+        self.light.losses()
     }
 
     /// Reads what is due, then tells what all readings mean now; a change is recorded.
     pub(super) async fn look(&mut self, bench: &mut Bench, stage: &Stage) -> Trips {
+        self.count_hours(bench, stage, false).await;
         let Some(limits) = self.limits.clone() else { return Trips::default() };
         let now = stage.clock().now();
         if now >= self.due {
             self.due = now + limits.period();
             self.read(bench, &limits, stage).await;
         }
+        self.tell_lamp(stage).await;
         let trips = evaluate(&self.gauges.readings(stage.clock().now()), &limits);
         if trips != self.told {
             self.told = trips.clone();
@@ -89,6 +128,19 @@ impl Watch {
             stage.recorder().event(Event::Interlocks { warnings, alarms }).await;
         }
         trips
+    }
+
+    /// The run is over.
+    pub(super) async fn end(&mut self, bench: &Bench, stage: &Stage) {
+        self.count_hours(bench, stage, true).await;
+    }
+
+    /// Without a light monitor the lamp is taken to burn as long as the run lasts.
+    async fn count_hours(&mut self, bench: &Bench, stage: &Stage, end: bool) {
+        let Some(hours) = &mut self.hours else { return };
+        let seen = bench.devices.light_monitor.is_some();
+        let burnt = if seen { self.light.burnt() } else { stage.clock().now() - self.begun };
+        hours.note(burnt, end, stage).await;
     }
 
     async fn read(&mut self, bench: &mut Bench, limits: &Interlocks, stage: &Stage) {
@@ -150,12 +202,18 @@ impl Watch {
             }
         }
         self.note_light(clock.now());
+        self.tell_lamp(stage).await;
         let n = powers.len() as f64;
         let power_w = powers.iter().sum::<f64>() / n;
         let squares: f64 = powers.iter().map(|p| (p - power_w).powi(2)).sum();
         let u_w = (squares / (n - 1.0) / n).sqrt();
+        let (low, high) = self.levels.unwrap_or((power_w, power_w));
+        self.levels = Some((low.min(power_w), high.max(power_w)));
         stage.recorder().event(Event::LightRead { view, power_w, u_w }).await;
-        if self.reference.is_some() || self.light.settled(clock.now()) {
+        if !self.light.warm(clock.now()) {
+            // Whether it burns is the lamp's own gauge; the next lamp that is struck has a level of its own.
+            self.reference = None;
+        } else if self.reference.is_some() || self.light.settled(clock.now()) {
             if power_w > 0.0 {
                 self.reference.get_or_insert(power_w);
             }
@@ -164,6 +222,18 @@ impl Watch {
             self.note(Gauge::Light, change, clock.now());
         }
         Some(power_w)
+    }
+
+    /// Records what the lamp does, where that is new.
+    async fn tell_lamp(&mut self, stage: &Stage) {
+        // Where nobody waits for the lamp, what is read of it counts as it is.
+        let lamp = if self.judges_lamp() { self.light.now(stage.clock()) } else { None };
+        if lamp.as_ref().map(std::mem::discriminant) != self.lamp.as_ref().map(std::mem::discriminant) {
+            self.lamp.clone_from(&lamp);
+            if let Some(lamp) = lamp {
+                stage.recorder().event(Event::Lamp { lamp }).await;
+            }
+        }
     }
 
     fn note_light(&mut self, now: Instant) {

@@ -62,6 +62,9 @@ pub struct RunNow {
     pub begun: String,
     /// Forecast of what is left, seconds.
     pub left_s: f64,
+    /// What the lamp does, and when it may be struck, while the run waits for it.
+    #[serde(default)]
+    pub lamp: Option<String>,
     /// Forecast of the end, RFC 3339.
     pub done_at: String,
 }

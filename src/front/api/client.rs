@@ -14,8 +14,10 @@ use tokio::net::UnixStream;
 
 /// How long the daemon may take to take a connection.
 const CONNECT: Duration = Duration::from_secs(5);
-/// How long it may take to answer: checking a scan reads files.
-const ANSWER: Duration = Duration::from_secs(60);
+/// How long it may take to answer what it knows.
+const ANSWER: Duration = Duration::from_secs(10);
+/// How long it may take to do what it is asked: checking a scan reads files, the safe state moves axes.
+const DONE: Duration = Duration::from_secs(60);
 /// Largest answer that is read, bytes.
 const LARGEST: usize = 64 << 20;
 
@@ -42,6 +44,14 @@ pub enum ClientError {
         /// What it said.
         refusal: Refusal,
     },
+    /// The daemon is there and says nothing.
+    #[error("{socket}: the daemon does not answer within {seconds} s, it is stopped or stuck; `systemctl restart goniod` begins it again and goes on with its run, or end its process and make the bench safe with `goniod safe --direct`", socket = .socket.display())]
+    Silent {
+        /// The socket.
+        socket: PathBuf,
+        /// How long it was waited for.
+        seconds: u64,
+    },
     /// The daemon is there but does not answer as it should.
     #[error("{socket}: the daemon's answer cannot be used: {why}; is it the same version?", socket = .socket.display())]
     Garbled {
@@ -57,6 +67,8 @@ pub enum ClientError {
 pub struct Client {
     socket: PathBuf,
     clock: Clock,
+    /// Instead of the usual limit for an answer.
+    limit: Option<Duration>,
 }
 
 /// Server-sent events as they arrive.
@@ -70,7 +82,12 @@ pub struct Events {
 impl Client {
     /// A client of the daemon at this socket.
     pub fn new(socket: PathBuf) -> Client {
-        Client { socket, clock: Clock::system() }
+        Client { socket, clock: Clock::system(), limit: None }
+    }
+
+    /// The same client, which waits for an answer so long and no longer.
+    pub fn within(self, limit: Duration) -> Client {
+        Client { limit: Some(limit), ..self }
     }
 
     /// The socket.
@@ -89,6 +106,7 @@ impl Client {
         body: Option<&impl serde::Serialize>,
     ) -> Result<T, ClientError> {
         let body = body.map(serde_json::to_vec).transpose().map_err(|e| self.garbled(e))?;
+        let limit = self.limit.unwrap_or(if method == Method::GET { ANSWER } else { DONE });
         let work = async {
             let response = self.send(method, path, body.unwrap_or_default()).await?;
             let status = response.status();
@@ -99,7 +117,7 @@ impl Client {
             }
             Err(self.refused(status.as_u16(), &bytes))
         };
-        self.clock.timeout(ANSWER, work).await.unwrap_or_else(|_| Err(self.garbled("it takes too long")))
+        self.clock.timeout(limit, work).await.unwrap_or_else(|_| Err(self.silent(limit)))
     }
 
     /// Listens to events.
@@ -108,7 +126,9 @@ impl Client {
     /// [`ClientError`].
     pub async fn events(&self, since: Option<&str>) -> Result<Events, ClientError> {
         let query = since.map_or_else(String::new, |since| format!("?since={since}"));
-        let response = self.send(Method::GET, &format!("/v1/events{query}"), Vec::new()).await?;
+        let path = format!("/v1/events{query}");
+        let head = self.clock.timeout(ANSWER, self.send(Method::GET, &path, Vec::new())).await;
+        let response = head.map_err(|_| self.silent(ANSWER))??;
         let status = response.status();
         if status.is_success() {
             return Ok(Events { body: response.into_body(), text: Vec::new() });
@@ -119,7 +139,7 @@ impl Client {
 
     async fn send(&self, method: Method, path: &str, body: Vec<u8>) -> Result<Response<Incoming>, ClientError> {
         let stream = self.clock.timeout(CONNECT, UnixStream::connect(&self.socket)).await;
-        let stream = stream.map_err(|_| self.garbled("it does not take the connection"))?;
+        let stream = stream.map_err(|_| self.silent(CONNECT))?;
         let stream = stream.map_err(|e| match e.kind() {
             std::io::ErrorKind::PermissionDenied => ClientError::NotAllowed { socket: self.socket.clone() },
             _ => ClientError::NotRunning { socket: self.socket.clone() },
@@ -135,8 +155,8 @@ impl Client {
             .header("content-type", "application/json")
             .body(Full::new(Bytes::from(body)))
             .map_err(|e| self.garbled(e))?;
-        let answer = self.clock.timeout(ANSWER, sender.send_request(request)).await;
-        answer.map_err(|_| self.garbled("it does not answer"))?.map_err(|e| self.garbled(e))
+        let answer = self.clock.timeout(DONE, sender.send_request(request)).await;
+        answer.map_err(|_| self.silent(DONE))?.map_err(|e| self.garbled(e))
     }
 
     fn refused(&self, status: u16, bytes: &[u8]) -> ClientError {
@@ -144,6 +164,10 @@ impl Client {
             Ok(refusal) => ClientError::Refused { status, refusal },
             Err(_) => self.garbled(format!("status {status} without a sentence")),
         }
+    }
+
+    fn silent(&self, limit: Duration) -> ClientError {
+        ClientError::Silent { socket: self.socket.clone(), seconds: limit.as_secs() }
     }
 
     fn garbled(&self, why: impl ToString) -> ClientError {

@@ -1,27 +1,31 @@
 //! A listener with bounds: so many connections at once, and none that stays silent for long. Clients that hang on take
-//! file descriptors from each other, never from the night.
+//! places from each other, never from the night, nor from an operator who comes last.
 
 use axum::serve::Listener;
 use goniod_drivers::clock::Clock;
 use std::future::Future;
 use std::io;
 use std::pin::Pin;
-use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::task::{Context, Poll};
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore};
 use tokio::time::Instant;
 
-/// Connections at once; one more waits until one ends.
+/// Connections at once; for one more, the one that has been silent longest is closed.
 pub const MOST_CONNECTIONS: usize = 64;
 /// A connection on which nothing moves for so long is closed. Event streams send a comment more often.
 pub const SILENCE: Duration = Duration::from_secs(40);
+/// How long a connection that is to be closed may take before the next one is asked to go, too.
+const LEAVING: Duration = Duration::from_millis(200);
 
 /// The bounds around another listener.
 pub struct Guarded<L> {
     listener: L,
     places: Arc<Semaphore>,
+    taken: Vec<Weak<Place>>,
     clock: Clock,
 }
 
@@ -29,9 +33,16 @@ pub struct Guarded<L> {
 pub struct GuardedIo<I> {
     io: I,
     clock: Clock,
-    moved: Instant,
     alarm: Pin<Box<dyn Future<Output = ()> + Send>>,
-    _place: Option<OwnedSemaphorePermit>,
+    place: Arc<Place>,
+}
+
+/// One connection's place.
+struct Place {
+    moved: Mutex<Instant>,
+    leaves: AtomicBool,
+    wake: Notify,
+    _permit: Option<OwnedSemaphorePermit>,
 }
 
 // === impl Guarded ===
@@ -39,7 +50,29 @@ pub struct GuardedIo<I> {
 impl<L> Guarded<L> {
     /// Bounds a listener.
     pub fn new(listener: L, clock: Clock) -> Guarded<L> {
-        Guarded { listener, places: Arc::new(Semaphore::new(MOST_CONNECTIONS)), clock }
+        Guarded { listener, places: Arc::new(Semaphore::new(MOST_CONNECTIONS)), taken: Vec::new(), clock }
+    }
+
+    /// A place for one more.
+    async fn place(&mut self) -> Arc<Place> {
+        self.taken.retain(|place| place.strong_count() > 0);
+        let free = loop {
+            if let Ok(permit) = Arc::clone(&self.places).try_acquire_owned() {
+                break Some(permit);
+            }
+            let staying = self.taken.iter().filter_map(Weak::upgrade).filter(|place| !place.leaves());
+            if let Some(silent) = staying.min_by_key(|place| place.moved()) {
+                silent.leave();
+            }
+            let permit = self.clock.timeout(LEAVING, Arc::clone(&self.places).acquire_owned()).await;
+            if let Ok(permit) = permit {
+                // The semaphore is never closed.
+                break permit.ok();
+            }
+        };
+        let place = Arc::new(Place::new(self.clock.now(), free));
+        self.taken.push(Arc::downgrade(&place));
+        place
     }
 }
 
@@ -48,10 +81,8 @@ impl<L: Listener> Listener for Guarded<L> {
     type Addr = L::Addr;
 
     async fn accept(&mut self) -> (Self::Io, Self::Addr) {
-        // The semaphore is never closed.
-        let place = Arc::clone(&self.places).acquire_owned().await.ok();
         let (io, address) = self.listener.accept().await;
-        (GuardedIo::new(io, self.clock, place), address)
+        (GuardedIo::new(io, self.clock, self.place().await), address)
     }
 
     fn local_addr(&self) -> io::Result<Self::Addr> {
@@ -59,33 +90,61 @@ impl<L: Listener> Listener for Guarded<L> {
     }
 }
 
+// === impl Place ===
+
+impl Place {
+    fn new(now: Instant, permit: Option<OwnedSemaphorePermit>) -> Place {
+        let (moved, wake) = (Mutex::new(now), Notify::new());
+        Place { moved, leaves: AtomicBool::new(false), wake, _permit: permit }
+    }
+
+    fn moved(&self) -> Instant {
+        *self.moved.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn leaves(&self) -> bool {
+        self.leaves.load(Ordering::SeqCst)
+    }
+
+    fn leave(&self) {
+        self.leaves.store(true, Ordering::SeqCst);
+        self.wake.notify_one();
+    }
+}
+
 // === impl GuardedIo ===
 
 impl<I> GuardedIo<I> {
-    fn new(io: I, clock: Clock, place: Option<OwnedSemaphorePermit>) -> GuardedIo<I> {
-        let moved = clock.now();
-        GuardedIo { io, clock, moved, alarm: alarm(clock, moved + SILENCE), _place: place }
+    fn new(io: I, clock: Clock, place: Arc<Place>) -> GuardedIo<I> {
+        let alarm = alarm(clock, Arc::clone(&place), place.moved() + SILENCE);
+        GuardedIo { io, clock, alarm, place }
     }
 
     /// What an operation gave; waiting for it too long is an error.
     fn guard<T>(&mut self, polled: Poll<io::Result<T>>, cx: &mut Context<'_>) -> Poll<io::Result<T>> {
         if polled.is_ready() {
-            self.moved = self.clock.now();
+            *self.place.moved.lock().unwrap_or_else(PoisonError::into_inner) = self.clock.now();
             return polled;
         }
         while self.alarm.as_mut().poll(cx).is_ready() {
-            let due = self.moved + SILENCE;
-            if due <= self.clock.now() {
+            let due = self.place.moved() + SILENCE;
+            if due <= self.clock.now() || self.place.leaves() {
                 return Poll::Ready(Err(io::ErrorKind::TimedOut.into()));
             }
-            self.alarm = alarm(self.clock, due);
+            self.alarm = alarm(self.clock, Arc::clone(&self.place), due);
         }
         Poll::Pending
     }
 }
 
-fn alarm(clock: Clock, at: Instant) -> Pin<Box<dyn Future<Output = ()> + Send>> {
-    Box::pin(async move { clock.sleep_until(at).await })
+/// Ends at `at`, or when the place is wanted.
+fn alarm(clock: Clock, place: Arc<Place>, at: Instant) -> Pin<Box<dyn Future<Output = ()> + Send>> {
+    Box::pin(async move {
+        tokio::select! {
+            () = clock.sleep_until(at) => {}
+            () = place.wake.notified() => {}
+        }
+    })
 }
 
 impl<I: AsyncRead + Unpin> AsyncRead for GuardedIo<I> {
@@ -118,11 +177,40 @@ mod tests {
     use super::*;
     use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
+    fn place(clock: Clock) -> Arc<Place> {
+        Arc::new(Place::new(clock.now(), None))
+    }
+
+    /// The one who comes last may be the operator who wants the bench safe.
+    #[tokio::test(start_paused = true)]
+    async fn one_connection_too_many_closes_the_one_that_was_silent_longest() {
+        let clock = Clock::system();
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("s");
+        let mut guarded = Guarded::new(tokio::net::UnixListener::bind(&path).unwrap(), clock);
+        let (mut near, mut far) = (Vec::new(), Vec::new());
+        for _ in 0..MOST_CONNECTIONS {
+            far.push(tokio::net::UnixStream::connect(&path).await.unwrap());
+            near.push(guarded.accept().await.0);
+            clock.sleep(Duration::from_millis(1)).await;
+        }
+        // The first moves, so that the second is the one.
+        far[0].write_all(b"x").await.unwrap();
+        near[0].read_u8().await.unwrap();
+        let silent = near.remove(1);
+        let closed = tokio::spawn(async move { { silent }.read_u8().await.unwrap_err().kind() });
+        far.push(tokio::net::UnixStream::connect(&path).await.unwrap());
+        let (mut last, _) = guarded.accept().await;
+        assert_eq!(closed.await.unwrap(), io::ErrorKind::TimedOut);
+        far[MOST_CONNECTIONS].write_all(b"y").await.unwrap();
+        assert_eq!(last.read_u8().await.unwrap(), b'y');
+    }
+
     #[tokio::test(start_paused = true)]
     async fn a_silent_connection_is_closed_and_a_moving_one_is_not() {
         let clock = Clock::system();
         let (near, mut far) = tokio::io::duplex(64);
-        let mut guarded = GuardedIo::new(near, clock, None);
+        let mut guarded = GuardedIo::new(near, clock, place(clock));
         for _ in 0..5 {
             clock.sleep(SILENCE / 2).await;
             far.write_all(b"x").await.unwrap();
@@ -137,7 +225,8 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn a_client_that_never_reads_is_given_up() {
         let (near, _far) = tokio::io::duplex(64);
-        let mut guarded = GuardedIo::new(near, Clock::system(), None);
+        let clock = Clock::system();
+        let mut guarded = GuardedIo::new(near, clock, place(clock));
         assert_eq!(guarded.write_all(&[0; 1000]).await.unwrap_err().kind(), io::ErrorKind::TimedOut);
     }
 }

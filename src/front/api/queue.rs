@@ -60,8 +60,7 @@ fn add_blocking(hub: &Hub, new: NewEntry) -> Result<Added, ApiError> {
                 );
                 return Err(ApiError::new(StatusCode::UNPROCESSABLE_ENTITY, why));
             }
-            let (queued, checked) = check_for_queue(hub, &scan, clock)?;
-            let warnings = checked.warnings.iter().map(ToString::to_string).collect();
+            let (queued, checked, warnings) = check_for_queue(hub, &scan, clock)?;
             let work = Work::Scan(Box::new(queued));
             let staged = hub.queue(Queue::stage)?;
             staged.copy(&checked)?;

@@ -4,13 +4,19 @@ use super::guarded::Guarded;
 use super::routes::{Shared, router};
 use crate::front::daemon::error::DaemonError;
 use crate::front::daemon::hub::Phase;
+use axum::Router;
 use axum::serve::Listener;
+use hyper::server::conn::http1;
+use hyper_util::rt::TokioIo;
+use hyper_util::service::TowerToHyperService;
 use std::net::SocketAddr;
 use std::os::unix::fs::{FileTypeExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpListener, UnixListener};
-use tokio::task::JoinHandle;
+use tokio::sync::watch;
+use tokio::task::{JoinHandle, JoinSet};
 
 /// Who may talk to the daemon: its user and its group.
 const MODE: u32 = 0o660;
@@ -64,16 +70,45 @@ where
     L::Addr: std::fmt::Debug,
 {
     let router = router(Shared::clone(hub), read_only);
-    let mut phase = hub.phase();
-    let guarded = Guarded::new(listener, hub.clock);
+    let phase = hub.phase();
+    let mut guarded = Guarded::new(listener, hub.clock);
     tokio::spawn(async move {
-        let closing = async move {
-            // The sender lives in the hub, which the router holds.
-            let _ = phase.wait_for(|p| *p == Phase::Closing).await;
-        };
-        // Its only error is that of a listener that never ends.
-        let _ = axum::serve(guarded, router).with_graceful_shutdown(closing).await;
+        let mut closing = std::pin::pin!(until_closing(phase.clone()));
+        // Those that are under way end with this task, at the latest.
+        let mut connections = JoinSet::new();
+        loop {
+            tokio::select! {
+                () = &mut closing => break,
+                Some(_) = connections.join_next() => {}
+                (io, _) = guarded.accept() => drop(connections.spawn(answer(io, router.clone(), phase.clone()))),
+            }
+        }
+        drop(guarded);
+        while connections.join_next().await.is_some() {}
     })
+}
+
+/// Answers the requests of one connection. A client that sends no more may still wait for its answer: half a connection
+/// is enough (`nc -N`, `socat`).
+async fn answer<I>(io: I, router: Router, phase: watch::Receiver<Phase>)
+where
+    I: AsyncRead + AsyncWrite + Unpin + Send + 'static,
+{
+    let service = TowerToHyperService::new(router);
+    let connection = http1::Builder::new().half_close(true).serve_connection(TokioIo::new(io), service);
+    let mut connection = std::pin::pin!(connection);
+    // A connection's error is its client's: nobody is left to tell.
+    tokio::select! {
+        _ = connection.as_mut() => return,
+        () = until_closing(phase) => connection.as_mut().graceful_shutdown(),
+    }
+    let _ = connection.await;
+}
+
+/// Until clients are sent away.
+async fn until_closing(mut phase: watch::Receiver<Phase>) {
+    // The sender lives in the hub, which the router holds.
+    let _ = phase.wait_for(|p| *p == Phase::Closing).await;
 }
 
 /// A socket that appears with its rights: made under another name, then renamed.
@@ -106,4 +141,66 @@ async fn bind(hub: &Shared, path: &Path) -> Result<UnixListener, DaemonError> {
         .and_then(|()| std::fs::rename(&building, path))
         .map_err(|e| failed(format!("{e}; {hint}")))?;
     Ok(listener)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+    use crate::front::daemon::hub::{Facts, Hub};
+    use crate::front::daemon::queue::Queue;
+    use goniod_drivers::clock::Clock;
+    use std::sync::Arc;
+    use tokio::io::{AsyncReadExt, AsyncWriteExt};
+    use tokio::net::UnixStream;
+
+    fn hub(state: &Path) -> Shared {
+        let (instrument, runs_dir) = (state.join("instrument.toml"), state.join("runs"));
+        let facts = Facts { name: "n".to_owned(), instrument, runs_dir, auto_resume: false };
+        Arc::new(Hub::new(facts, Queue::open(state).unwrap(), Clock::system()))
+    }
+
+    /// What a client hears that sends all it has to say and then no more, as `nc -N` does.
+    async fn said_and_done(socket: &Path, request: &str) -> String {
+        let mut client = UnixStream::connect(socket).await.unwrap();
+        client.write_all(request.as_bytes()).await.unwrap();
+        client.shutdown().await.unwrap();
+        let mut answer = String::new();
+        client.read_to_string(&mut answer).await.unwrap();
+        answer
+    }
+
+    #[tokio::test]
+    async fn a_client_that_sends_no_more_after_its_request_gets_its_answer() {
+        let state = tempfile::tempdir().unwrap();
+        let (hub, socket) = (hub(state.path()), state.path().join("goniod.sock"));
+        let servers = Servers::start(&hub, &socket, None).await.unwrap();
+        for request in ["GET /v1/status HTTP/1.1\r\nHost: goniod\r\n\r\n", "GET /v1/queue HTTP/1.0\r\n\r\n"] {
+            // Whether its end comes with the request or later is a matter of chance.
+            for _ in 0..20 {
+                let answer = said_and_done(&socket, request).await;
+                assert!(answer.contains(" 200 OK\r\n") && answer.contains("\"held\":null"), "{answer}");
+            }
+        }
+        let body = r#"{"resume":"no-such-run"}"#;
+        let head = "POST /v1/queue HTTP/1.1\r\nHost: goniod\r\nContent-Type: application/json\r\nContent-Length";
+        let answer = said_and_done(&socket, &format!("{head}: {}\r\n\r\n{body}", body.len())).await;
+        assert!(answer.contains(" 409 Conflict\r\n") && answer.contains("no-such-run"), "{answer}");
+        hub.go(Phase::Closing);
+        servers.end(&hub).await;
+        assert!(UnixStream::connect(&socket).await.is_err());
+    }
+
+    #[tokio::test]
+    async fn half_a_request_and_no_more_gets_no_answer_and_disturbs_nobody() {
+        let state = tempfile::tempdir().unwrap();
+        let (hub, socket) = (hub(state.path()), state.path().join("goniod.sock"));
+        let _servers = Servers::start(&hub, &socket, None).await.unwrap();
+        for request in ["", "GET", "GET /v1/status HTTP/1.1\r\nHost: go", "\0\0\r\n\r\n"] {
+            let answer = said_and_done(&socket, request).await;
+            assert!(!answer.contains("200 OK"), "{request}: {answer}");
+        }
+        let whole = "GET /v1/status HTTP/1.1\r\nHost: goniod\r\nConnection: close\r\n\r\n";
+        assert!(said_and_done(&socket, whole).await.contains("200 OK"));
+    }
 }

@@ -58,6 +58,7 @@ fn run_now(current: &Current, now: UtcMicros) -> RunNow {
         missing: current.missing,
         begun: stamp(current.begun).to_string(),
         left_s,
+        lamp: current.lamp.told(),
         done_at: stamp(UtcMicros(now.0 + (left_s * 1e6) as i64)).to_string(),
     }
 }

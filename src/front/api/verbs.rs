@@ -37,7 +37,11 @@ pub(super) async fn ask(
             let when = give(&hub, &current, *verb)?;
             (Some(current.run), format!("{name}, {when}"))
         }
-        None if *verb == Verb::Safe => (None, make_safe(&hub).await?),
+        None if *verb == Verb::Safe => {
+            // A task of its own: a client that goes away does not leave the bench half safe.
+            let made = tokio::spawn(async move { make_safe(&hub).await });
+            (None, made.await.map_err(|e| ApiError::broken(&e))??)
+        }
         None => (None, without_run(&hub, name, *verb).await?),
     };
     Ok(Json(Accepted { verb: (*name).to_owned(), run, message }))

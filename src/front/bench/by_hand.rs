@@ -3,29 +3,9 @@
 use super::{BenchError, hardware, is_simulated, light};
 use crate::config::instrument::Instrument;
 use goniod_drivers::clock::Clock;
-use goniod_drivers::contract::{
-    Camera, Device, FilterWheel, LightMonitor, Monochromator, RotaryAxis, Shutter, Spectrometer,
-};
+use goniod_drivers::conformance::Subject;
 use goniod_drivers::transport::Connector;
 use std::path::Path;
-
-/// A device of its kind; nothing is sent before it is opened.
-pub enum Hand {
-    /// A rotation axis.
-    Axis(Box<dyn RotaryAxis>),
-    /// The filter wheel.
-    Wheel(Box<dyn FilterWheel>),
-    /// The shutter.
-    Shutter(Box<dyn Shutter>),
-    /// The light monitor.
-    LightMonitor(Box<dyn LightMonitor>),
-    /// The monochromator.
-    Monochromator(Box<dyn Monochromator>),
-    /// The spectrometer.
-    Spectrometer(Box<dyn Spectrometer>),
-    /// A camera.
-    Camera(Box<dyn Camera>),
-}
 
 /// A device as the instrument file names it.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -107,36 +87,36 @@ impl<'a> ByHand<'a> {
     ///
     /// # Errors
     /// [`BenchError`]: a driver that is not in this build or refuses its configuration, a port that does not exist.
-    pub fn make(&self, name: &str) -> Result<Option<Hand>, BenchError> {
+    pub fn make(&self, name: &str) -> Result<Option<Subject>, BenchError> {
         let (i, clock) = (self.instrument, self.clock);
         let mut connect = |driver: &str, port: &str| self.connect(driver, port);
         let axis = |n: usize, connect: super::Connect<'_>| {
-            Ok(super::holder(i, clock, connect)?.into_iter().nth(n).map(Hand::Axis))
+            Ok(super::holder(i, clock, connect)?.into_iter().nth(n).map(Subject::Axis))
         };
         match name {
             "tilt" => axis(0, &mut connect),
             "spin" => axis(1, &mut connect),
             "changer" => match super::operator(i) {
-                Some((operator, _)) => Ok(Some(Hand::Axis(Box::new(operator)))),
+                Some((operator, _)) => Ok(Some(Subject::Axis(Box::new(operator)))),
                 None => axis(2, &mut connect),
             },
-            "filter_wheel" => Ok(Some(Hand::Wheel(super::filter_wheel(i, clock, &mut connect)?))),
-            "shutter" => Ok(Some(Hand::Shutter(super::shutter(i, clock, &mut connect)?))),
-            "light_monitor" => Ok(light::monitor(i, clock, &mut connect)?.map(Hand::LightMonitor)),
-            "monochromator" => Ok(light::monochromator(i, clock, &mut connect)?.map(Hand::Monochromator)),
-            "spectrometer" => Ok(light::spectrometer(i, clock)?.map(Hand::Spectrometer)),
+            "filter_wheel" => Ok(Some(Subject::Wheel(super::filter_wheel(i, clock, &mut connect)?))),
+            "shutter" => Ok(Some(Subject::Shutter(super::shutter(i, clock, &mut connect)?))),
+            "light_monitor" => Ok(light::monitor(i, clock, &mut connect)?.map(Subject::LightMonitor)),
+            "monochromator" => Ok(light::monochromator(i, clock, &mut connect)?.map(Subject::Monochromator)),
+            "spectrometer" => Ok(light::spectrometer(i, clock)?.map(Subject::Spectrometer)),
             camera => self.camera(camera),
         }
     }
 
-    fn camera(&self, name: &str) -> Result<Option<Hand>, BenchError> {
+    fn camera(&self, name: &str) -> Result<Option<Subject>, BenchError> {
         let Some(camera) = self.instrument.camera.get(name) else { return Ok(None) };
         if !camera.driver.starts_with("sim-") {
-            return Ok(Some(Hand::Camera(hardware::camera(name, camera, self.clock)?)));
+            return Ok(Some(Subject::Camera(hardware::camera(name, camera, self.clock)?)));
         }
         #[cfg(feature = "sim")]
         if let Some((_, bench)) = &self.simulated {
-            return Ok(Some(Hand::Camera(Box::new(bench.camera(name)?))));
+            return Ok(Some(Subject::Camera(Box::new(bench.camera(name)?))));
         }
         Err(BenchError::CameraDriver { camera: name.to_owned(), driver: camera.driver.clone() })
     }
@@ -147,22 +127,5 @@ impl<'a> ByHand<'a> {
             return super::simulated::connect(twins, port, self.clock);
         }
         hardware::connect(self.instrument, driver, port, self.clock)
-    }
-}
-
-// === impl Hand ===
-
-impl Hand {
-    /// What every device can do.
-    pub fn device(&mut self) -> &mut dyn Device {
-        match self {
-            Hand::Axis(device) => device.as_mut(),
-            Hand::Wheel(device) => device.as_mut(),
-            Hand::Shutter(device) => device.as_mut(),
-            Hand::LightMonitor(device) => device.as_mut(),
-            Hand::Monochromator(device) => device.as_mut(),
-            Hand::Spectrometer(device) => device.as_mut(),
-            Hand::Camera(device) => device.as_mut(),
-        }
     }
 }

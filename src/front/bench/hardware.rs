@@ -45,7 +45,12 @@ fn cameras(instrument: &Instrument, clock: Clock) -> Result<BTreeMap<String, Box
 
 /// A real camera, made by its driver; nothing is sent.
 pub(super) fn camera(name: &str, camera: &instrument::Camera, clock: Clock) -> Result<Box<dyn Camera>, BenchError> {
-    let config = CameraConfig {
+    Ok(table::camera(&camera.driver, camera_config(name, camera), clock)?)
+}
+
+/// What the instrument file says about a camera, for its driver or its twin.
+pub(super) fn camera_config(name: &str, camera: &instrument::Camera) -> CameraConfig {
+    CameraConfig {
         name: format!("camera.{name}"),
         port: camera.port.clone(),
         serial: camera.serial.clone(),
@@ -59,8 +64,7 @@ pub(super) fn camera(name: &str, camera: &instrument::Camera, clock: Clock) -> R
         discard_frames: camera.discard_frames,
         v4l2: camera.v4l2.clone(),
         aravis: camera.aravis.clone(),
-    };
-    Ok(table::camera(&camera.driver, config, clock)?)
+    }
 }
 
 #[cfg(feature = "serial")]

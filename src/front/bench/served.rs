@@ -1,6 +1,7 @@
 //! A simulated bench served to other processes: from an instrument file to a running bench and the instrument file by
 //! which any program reaches it as it would reach the hardware.
 
+use super::hardware::camera_config;
 use super::{BenchError, simulated};
 use crate::config::instrument::{Camera, Instrument};
 use crate::front::cli::exit::Exit;
@@ -8,7 +9,7 @@ use goniod_drivers::clock::Clock;
 use goniod_drivers::table::{self, Make};
 use goniod_drivers::transport::usb::UsbAddress;
 use goniod_sim::served::usb::{meter_model, spectrometer_model};
-use goniod_sim::served::{CameraSite, Line, ServeError, Served, Site, UsbSite};
+use goniod_sim::served::{Line, ServeError, Served, Site, UsbSite};
 use goniod_sim::truth::error::SimError;
 use std::collections::BTreeMap;
 use std::io;
@@ -123,7 +124,7 @@ fn site(i: &Instrument, folder: &Path, seed: u64) -> Result<Site, BenchError> {
     if spectrometer.as_ref().is_some_and(|site| spectrometer_model(site.product).is_none()) {
         return Err(no_twin("spectrometer with these USB ids", "2457:1002, 2457:101e, 2457:1022"));
     }
-    let cameras = i.camera.iter().map(|(name, camera)| (name.clone(), camera_site(camera))).collect();
+    let cameras = i.camera.iter().map(|(name, camera)| (name.clone(), camera_config(name, camera))).collect();
     Ok(Site { folder: folder.to_owned(), lines, cameras, meter, spectrometer, seed })
 }
 
@@ -138,18 +139,6 @@ fn usb(port: &str, serial: Option<&str>, (_, product): (u16, u16)) -> UsbSite {
     let named = address.as_ref().and_then(|a| a.serial.as_deref());
     let serial = serial.or(named).unwrap_or(USUAL_SERIAL).to_owned();
     UsbSite { product: address.map_or(product, |a| a.product), serial }
-}
-
-fn camera_site(camera: &Camera) -> CameraSite {
-    CameraSite {
-        serial: camera.serial.clone(),
-        width: camera.width_px,
-        height: camera.height_px,
-        format: camera.format,
-        shortest_s: camera.shortest_s,
-        longest_s: camera.longest_s,
-        readout_s: camera.readout_s,
-    }
 }
 
 /// The instrument file of a bench that is served.

@@ -101,7 +101,7 @@ fn open(checked: &Checked, rehearsal: &Rehearsal, clock: Clock, own_cameras: boo
     let instrument = &checked.instrument;
     let simulation = instrument.simulation.as_ref().ok_or(BenchError::NoSimulation)?;
     let description = checked.bench.as_ref().ok_or(BenchError::NoSimulation)?;
-    let sample = rehearsal.sample.as_ref().or(checked.simulated_sample.as_ref()).ok_or(BenchError::NoSample)?;
+    let sample = checked.simulated_sample.as_ref().ok_or(BenchError::NoSample)?;
     let seed = rehearsal.seed.unwrap_or(simulation.seed);
     let (twins, bench) = parts(instrument, description, sample, seed, clock)?;
     let mut cameras: BTreeMap<String, Box<dyn Camera>> = BTreeMap::new();

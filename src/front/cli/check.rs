@@ -25,10 +25,12 @@ struct Found {
 pub fn run(args: Args, output: &Output) -> Outcome {
     let checked = args.scan.check(output)?;
     let plan = night::plan(&checked)?;
+    let lamp = night::lamp_warning(&checked.instrument, &plan, &checked.instrument.runs_dir);
+    lamp.iter().for_each(|warning| output.warn(warning));
     let found = Found {
         scan: checked.scan.name.clone(),
         instrument: checked.instrument.name.clone(),
-        warnings: checked.warnings.iter().map(ToString::to_string).collect(),
+        warnings: checked.warnings.iter().map(ToString::to_string).chain(lamp).collect(),
         steps: plan.steps.len(),
     };
     output.result(Exit::Done, &found, || {

@@ -3,8 +3,8 @@
 use super::device::{Bench, OfInstrument, take};
 use super::exit::Exit;
 use super::output::{Failure, Outcome, Output};
-use crate::front::bench::by_hand::{Entry, Hand};
-use goniod_drivers::conformance::{Finding, Subject, Verdict, check};
+use crate::front::bench::by_hand::Entry;
+use goniod_drivers::conformance::{Finding, Verdict, check};
 use serde::Serialize;
 use std::io::{BufRead, IsTerminal, Write};
 use std::path::PathBuf;
@@ -38,8 +38,7 @@ struct Report {
 pub fn run(args: Args, output: &Output) -> Outcome {
     let bench = Bench::of(&args.of, "goniod conform")?;
     bench.with(async |instrument, hands, clock| {
-        let (entry, hand) = take(instrument, hands, &args.name)?;
-        let mut subject = subject(hand);
+        let (entry, mut subject) = take(instrument, hands, &args.name)?;
         if subject.moves() && !args.yes {
             consent(&entry, output)?;
         }
@@ -75,18 +74,6 @@ fn consent(entry: &Entry, output: &Output) -> Result<(), Failure> {
     match std::io::stdin().lock().read_line(&mut answer) {
         Ok(_) if answer.trim() == "yes" => Ok(()),
         _ => Err(refused("nothing was sent: that was no `yes`")),
-    }
-}
-
-fn subject(hand: Hand) -> Subject {
-    match hand {
-        Hand::Axis(device) => Subject::Axis(device),
-        Hand::Wheel(device) => Subject::Wheel(device),
-        Hand::Shutter(device) => Subject::Shutter(device),
-        Hand::LightMonitor(device) => Subject::LightMonitor(device),
-        Hand::Monochromator(device) => Subject::Monochromator(device),
-        Hand::Spectrometer(device) => Subject::Spectrometer(device),
-        Hand::Camera(device) => Subject::Camera(device),
     }
 }
 

@@ -72,7 +72,7 @@ impl From<ClientError> for Failure {
             ClientError::Refused { status: 422, .. } => Exit::BadInput,
             ClientError::Refused { status: 507, .. } => Exit::Storage,
             ClientError::Refused { .. } => Exit::Refused,
-            ClientError::NotAllowed { .. } | ClientError::Garbled { .. } => Exit::Failed,
+            ClientError::NotAllowed { .. } | ClientError::Silent { .. } | ClientError::Garbled { .. } => Exit::Failed,
         };
         match e {
             ClientError::Refused { refusal, .. } if !refusal.issues.is_empty() => {

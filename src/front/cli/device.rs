@@ -9,10 +9,11 @@ use super::output::{Failure, Outcome, Output};
 use super::run::{exit_of_bench, lock_instrument, no_runtime};
 use crate::config::check::check_devices;
 use crate::config::instrument::Instrument;
-use crate::front::bench::by_hand::{ByHand, Entry, Hand, entries};
+use crate::front::bench::by_hand::{ByHand, Entry, entries};
 use crate::front::bench::is_simulated;
 use crate::front::daemon::lock::Locks;
 use goniod_drivers::clock::Clock;
+use goniod_drivers::conformance::Subject;
 use goniod_drivers::error::DeviceError;
 use say::{Listed, Report};
 use std::path::{Path, PathBuf};
@@ -147,7 +148,7 @@ async fn list(instrument: &Instrument, bench: &ByHand<'_>, clock: Clock, output:
 }
 
 /// The device of this name, made but not opened.
-pub(super) fn take(instrument: &Instrument, bench: &ByHand<'_>, name: &str) -> Result<(Entry, Hand), Failure> {
+pub(super) fn take(instrument: &Instrument, bench: &ByHand<'_>, name: &str) -> Result<(Entry, Subject), Failure> {
     let all = entries(instrument);
     let unknown = || {
         let known = all.iter().map(|e| e.name.as_str()).collect::<Vec<_>>().join(", ");
@@ -159,7 +160,7 @@ pub(super) fn take(instrument: &Instrument, bench: &ByHand<'_>, name: &str) -> R
     Ok((entry.clone(), made.ok_or_else(unknown)?))
 }
 
-async fn open(entry: &Entry, hand: &mut Hand, clock: Clock) -> Result<Report, Failure> {
+async fn open(entry: &Entry, hand: &mut Subject, clock: Clock) -> Result<Report, Failure> {
     let identity = work::identify(hand, clock).await.map_err(device)?;
     Ok(Report::new(entry, identity))
 }

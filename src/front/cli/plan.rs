@@ -3,9 +3,9 @@
 use super::exit::Exit;
 use super::input::{ScanArgs, moment};
 use super::output::{Outcome, Output};
-use super::progress::duration;
 use crate::control::plan::{Forecast, Plan, Step, Subject, View};
 use crate::front::night;
+use crate::products::night::duration;
 use goniod_drivers::clock::{Clock, UtcMicros};
 use serde::Serialize;
 use std::fmt::Write;

@@ -2,10 +2,14 @@
 
 use crate::control::events::{Event, Stamped};
 use crate::control::plan::Plan;
+use crate::control::sequencer::state::State;
+use crate::front::lamp::{self, LampWait};
 use crate::front::night::stamp;
 use crate::front::remaining::left_s;
+use crate::products::night::duration;
 use goniod_drivers::clock::UtcMicros;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::io::Write;
 use tokio::sync::broadcast;
 use tokio::task::JoinHandle;
 
@@ -13,16 +17,6 @@ use tokio::task::JoinHandle;
 pub struct Progress {
     bar: ProgressBar,
     task: JoinHandle<()>,
-}
-
-/// `1 h 02 min`, `3 min 05 s`, `12.4 s`.
-pub fn duration(seconds: f64) -> String {
-    let whole = seconds.round().max(0.0) as u64;
-    match whole {
-        s if s >= 3600 => format!("{} h {:02} min", s / 3600, s % 3600 / 60),
-        s if s >= 60 => format!("{} min {:02} s", s / 60, s % 60),
-        _ => format!("{seconds:.1} s"),
-    }
 }
 
 // === impl Progress ===
@@ -49,6 +43,7 @@ impl Progress {
 
 async fn follow(bar: ProgressBar, mut events: broadcast::Receiver<Stamped>, forecast_s: f64, steps: usize) {
     let mut begun: Option<UtcMicros> = None;
+    let mut wait = LampWait::default();
     loop {
         let stamped = match events.recv().await {
             Ok(stamped) => stamped,
@@ -57,12 +52,13 @@ async fn follow(bar: ProgressBar, mut events: broadcast::Receiver<Stamped>, fore
         };
         let now = stamped.utc;
         let begin = *begun.get_or_insert(now);
+        wait.note(&stamped);
         match stamped.event {
             Event::Progress { stored, missing, .. } => {
                 let done = stored + missing;
                 bar.set_position(u64::from(done));
-                let elapsed_s = (now.0 - begin.0) as f64 / 1e6;
-                let left_s = left_s(forecast_s, elapsed_s, done, steps as u32);
+                let elapsed_s = (now.0 - begin.0) as f64 / 1e6 - wait.taken_s(now);
+                let left_s = left_s(forecast_s, elapsed_s, done, steps as u32) + wait.ahead_s(now);
                 let end = UtcMicros(now.0 + (left_s * 1e6) as i64);
                 let clock = stamp(end).strftime("%H:%M:%S UTC").to_string();
                 bar.set_message(format!("{} left, done at {clock}", duration(left_s)));
@@ -71,20 +67,28 @@ async fn follow(bar: ProgressBar, mut events: broadcast::Receiver<Stamped>, fore
             Event::DeviceError { device, message, decision, .. } => {
                 bar.println(format!("{device}: {message}; {decision}"));
             }
+            Event::StateChanged { from, to } if from != to => waits(&bar, &from, &to),
+            Event::Lamp { lamp } => bar.println(lamp::words(&lamp)),
             Event::RunEnded { .. } => return,
             _ => {}
         }
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::duration;
-
-    #[test]
-    fn durations_read_naturally() {
-        assert_eq!(duration(12.44), "12.4 s");
-        assert_eq!(duration(185.0), "3 min 05 s");
-        assert_eq!(duration(3720.0), "1 h 02 min");
+/// Tells when the run begins to wait and when it goes on, also where no terminal shows the bar: nobody should wonder
+/// about a night that stands still.
+fn waits(bar: &ProgressBar, from: &State, to: &State) {
+    let line = match (from, to) {
+        (_, State::Suspended(reasons)) => {
+            let reasons: Vec<&str> = reasons.iter().map(|reason| reason.name()).collect();
+            format!("suspended: {}; goes on by itself when that is over", reasons.join(", "))
+        }
+        (State::Suspended(_), State::Running) => "goes on".to_owned(),
+        _ => return,
+    };
+    if bar.is_hidden() {
+        let _ = writeln!(std::io::stderr(), "goniod: {line}");
+    } else {
+        bar.println(line);
     }
 }

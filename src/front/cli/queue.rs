@@ -3,10 +3,10 @@
 use super::daemon::{DaemonArgs, asked};
 use super::exit::Exit;
 use super::output::{Failure, Outcome, Output};
-use super::progress::duration;
 use crate::front::api::answers::{Added, EntryNow, NewEntry, QueueList};
 use crate::front::daemon::entry::Products;
 use crate::front::daemon::snapshot::plain;
+use crate::products::night::duration;
 use hyper::Method;
 use std::path::PathBuf;
 

@@ -41,7 +41,7 @@ pub fn run(args: Args, output: &Output) -> Outcome {
     let start = moment(&args.start)?;
     let runtime =
         tokio::runtime::Builder::new_current_thread().enable_all().start_paused(true).build().map_err(no_runtime)?;
-    let rehearsal = Rehearsal { seed: args.seed, sample: None, faults: args.faults };
+    let rehearsal = Rehearsal { seed: args.seed, faults: args.faults };
     let open = |clock| open_simulated(&checked, &rehearsal, clock);
     let work = measure(&checked, &args.runs, || Clock::starting_at(start), open, (None, output));
     let (ran, exit) = runtime.block_on(work)?;

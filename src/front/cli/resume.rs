@@ -10,7 +10,8 @@ use crate::config::load::load;
 use crate::front::api::answers::NewEntry;
 use crate::front::bench::{Rehearsal, open_as_written, open_simulated};
 use crate::front::daemon::lock::Locks;
-use crate::front::resume::{Unfinished, newest_unfinished};
+use crate::front::resume::{Unfinished, accept_lost_end, newest_unfinished};
+use crate::front::runs::{OPEN, status_of};
 use goniod_drivers::clock::Clock;
 use std::path::{Path, PathBuf};
 
@@ -27,6 +28,9 @@ pub struct Args {
     /// Try exposures that are listed as missing once more.
     #[arg(long)]
     missing: bool,
+    /// Where the end of the journal's log is damaged, take the exposures whose rows are lost again
+    #[arg(long, requires = "run")]
+    accept_loss: bool,
     /// Sample of the simulated bench, where it no longer lies where the run found it.
     #[arg(long, value_name = "FILE")]
     sample: Option<PathBuf>,
@@ -37,6 +41,9 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: Args, output: &Output) -> Outcome {
+    if let (true, Some(run)) = (args.accept_loss, &args.run) {
+        accept_lost_end(run)?;
+    }
     if let Some(outcome) = ask_daemon(&args, output) {
         return outcome;
     }
@@ -53,6 +60,15 @@ pub fn run(args: Args, output: &Output) -> Outcome {
             })?
         }
     };
+    let finished = status_of(&path).filter(|s| s.planned == 0 && s.state != OPEN && !(args.missing && s.missing > 0));
+    if finished.is_some() {
+        let what = format!(
+            "{}: this run is finished, every exposure is stored or listed as missing; `goniod reduce` makes its products \
+             again, --missing tries again what is missing",
+            path.display()
+        );
+        return Err(Failure::new(Exit::Refused, what));
+    }
     let base = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let unfinished = Unfinished::compare(&path, &instrument, base, args.sample)?;
     let locks = lock_instrument(&file, &instrument, "goniod resume")?;
@@ -81,7 +97,7 @@ pub fn go_on(unfinished: Unfinished, missing: bool, products: bool, to: (&Locks,
     let checked = unfinished.checked();
     let rehearsed = unfinished.document.virtual_time;
     let start = unfinished.last_told()?;
-    let rehearsal = Rehearsal { seed: unfinished.document.simulated_seed, sample: None, ..Rehearsal::default() };
+    let rehearsal = Rehearsal { seed: unfinished.document.simulated_seed, ..Rehearsal::default() };
     let runtime = if rehearsed {
         tokio::runtime::Builder::new_current_thread().enable_all().start_paused(true).build()
     } else {

@@ -3,7 +3,7 @@
 use super::exit::Exit;
 use super::input::{ScanArgs, instrument_path};
 use super::output::{Failure, Outcome, Output};
-use super::progress::{Progress, duration};
+use super::progress::Progress;
 use crate::config::check::Checked;
 use crate::config::instrument::Instrument;
 use crate::control::events::EventBus;
@@ -13,6 +13,7 @@ use crate::front::daemon::lock::Locks;
 use crate::front::night::{self, Night, exit_of};
 use crate::front::resume::{Unfinished, newest_unfinished};
 use crate::products::make::{Made, make_all};
+use crate::products::night::duration;
 use goniod_drivers::clock::Clock;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -66,6 +67,9 @@ pub fn run(args: Args, output: &Output) -> Outcome {
     let checked = args.scan.check(output)?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(no_runtime)?;
     let runs = args.runs.unwrap_or_else(|| checked.instrument.runs_dir.clone());
+    if let Some(warning) = night::lamp_warning(&checked.instrument, &night::plan(&checked)?, &runs) {
+        output.warn(&warning);
+    }
     let path = instrument_path(args.scan.instrument.as_deref())?;
     let locks = lock_instrument(&path, &checked.instrument, "goniod run")?;
     if let Some(unfinished) = to_go_on_with(&checked, &runs)? {
@@ -83,7 +87,15 @@ fn to_go_on_with(checked: &Checked, runs: &Path) -> Result<Option<Unfinished>, F
     if !checked.instrument.auto_resume {
         return Ok(None);
     }
-    let Some(path) = newest_unfinished(runs)? else { return Ok(None) };
+    let path = match newest_unfinished(runs) {
+        Ok(Some(path)) => path,
+        Ok(None) => return Ok(None),
+        Err(failure) => {
+            // An old run that cannot be read does not stand in tonight's way.
+            tracing::warn!(why = failure.messages.join("; "), "no run is gone on with");
+            return Ok(None);
+        }
+    };
     let sample = checked.simulated_sample.clone();
     // A run of another instrument or with another calibration is another run: a new one is started.
     let Ok(run) = Unfinished::compare(&path, &checked.instrument, &checked.instrument_dir, sample) else {

@@ -1,7 +1,7 @@
 //! `goniod safe`: asks the daemon to make the bench safe; `--direct` does it without a run and without the daemon:
 //! opens what the safe state lists, tries all of it, and tells how each device stands.
 
-use super::daemon::DaemonArgs;
+use super::daemon::{DaemonArgs, asked};
 use super::exit::Exit;
 use super::input::instrument_path;
 use super::output::{Failure, Outcome, Output};
@@ -9,12 +9,19 @@ use super::run::{exit_of_bench, no_runtime};
 use crate::config::instrument::Instrument;
 use crate::config::load::load;
 use crate::control::devices::safe::{SafeReport, SafeResult};
+use crate::front::api::answers::Status;
+use crate::front::api::client::ClientError;
 use crate::front::bench::open_direct;
 use crate::front::daemon::error::DaemonError;
 use crate::front::daemon::lock::Locks;
 use goniod_drivers::clock::Clock;
+use hyper::Method;
 use serde::Serialize;
 use std::path::Path;
+use std::time::Duration;
+
+/// How long a daemon that is well takes at most to tell its status.
+const AT_ONCE: Duration = Duration::from_secs(3);
 
 /// Arguments.
 #[derive(Debug, clap::Args)]
@@ -35,6 +42,13 @@ struct Safe {
 /// Runs the command.
 pub fn run(args: Args, output: &Output) -> Outcome {
     if !args.direct {
+        // A daemon that is stuck is found out before it is waited for; every other fault the request itself tells.
+        let asked = asked(&args.daemon, |client| async move {
+            client.within(AT_ONCE).ask::<Status>(Method::GET, "/v1/status", None::<&()>).await
+        });
+        if let Err(silent @ ClientError::Silent { .. }) = asked {
+            return Err(silent.into());
+        }
         return super::verbs::give("safe", &args.daemon, output).map_err(|mut failure| {
             if failure.exit == Exit::NoDaemon {
                 failure.messages.push("without the daemon, `goniod safe --direct` opens the devices itself".to_owned());

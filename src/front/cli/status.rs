@@ -4,12 +4,13 @@ use super::daemon::{DaemonArgs, asked};
 use super::exit::Exit;
 use super::input::instrument_path;
 use super::output::{Failure, Outcome, Output};
-use super::progress::duration;
 use crate::config::instrument::Instrument;
 use crate::config::load::load;
+use crate::control::lamp_hours::{LampAge, LampLog};
 use crate::front::api::answers::{RunNow, Status};
 use crate::front::api::client::ClientError;
 use crate::front::runs::{RunStatus, latest};
+use crate::products::night::duration;
 use hyper::Method;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -33,6 +34,9 @@ struct Told {
     daemon: Option<Status>,
     runs_dir: PathBuf,
     runs: Vec<RunStatus>,
+    /// How old the lamp is; absent where its hours are not kept.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    lamp: Option<LampAge>,
 }
 
 /// Runs the command.
@@ -55,7 +59,8 @@ pub fn run(args: Args, output: &Output) -> Outcome {
             return Err(Failure::new(Exit::Storage, why));
         }
     };
-    let told = Told { daemon, runs_dir, runs };
+    let lamp = lamp_of(args.daemon.instrument.as_deref(), &runs_dir);
+    let told = Told { daemon, runs_dir, runs, lamp };
     output.result(Exit::Done, &told, || text(&told))
 }
 
@@ -74,19 +79,29 @@ fn runs_of(instrument: &Path) -> Result<PathBuf, Failure> {
         .map_err(|e| Failure::new(Exit::BadInput, e.to_string()))
 }
 
+/// The hours of the lamp that is in now, by the instrument file where there is one.
+fn lamp_of(instrument: Option<&Path>, runs_dir: &Path) -> Option<LampAge> {
+    let loaded = load::<Instrument>(&instrument_path(instrument).ok()?, "instrument").ok()?;
+    LampLog::of(&loaded.value, runs_dir).map(|log| log.age_if_known())
+}
+
 fn text(told: &Told) -> String {
     let mut lines: Vec<String> = told.daemon.iter().flat_map(daemon_lines).collect();
     if told.runs.is_empty() {
         lines.push(format!("{}: no runs", told.runs_dir.display()));
     }
     lines.extend(told.runs.iter().map(run_line));
+    lines.extend(told.lamp.as_ref().map(LampAge::words));
     lines.join("\n")
 }
 
 fn daemon_lines(status: &Status) -> Vec<String> {
     let mut lines = Vec::new();
     match &status.run {
-        Some(run) => lines.push(now_line(run)),
+        Some(run) => {
+            lines.push(now_line(run));
+            lines.extend(run.lamp.clone());
+        }
         None => lines.push(format!("{}: idle", status.instrument)),
     }
     lines.extend(status.held.as_ref().map(|why| format!("the queue is held: {why}")));

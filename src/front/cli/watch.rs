@@ -11,6 +11,7 @@ use crate::control::sequencer::state::State;
 use crate::front::api::answers::Status;
 use crate::front::api::client::{Client, ClientError};
 use crate::front::daemon::hub::{DaemonEvent, Told, What};
+use crate::front::lamp;
 use crate::front::night::stamp;
 use hyper::Method;
 
@@ -68,6 +69,8 @@ fn run_words(event: &Event) -> String {
         Event::Asked { verb, refused: Some(why) } => format!("{} was asked and refused: {why}", verb.name()),
         Event::Interlocks { warnings, alarms } => interlock_words(warnings, alarms),
         Event::LightRead { power_w, u_w, .. } => format!("lamp {power_w:.4e} W, standard uncertainty {u_w:.1e} W"),
+        Event::Lamp { lamp } => lamp::words(lamp),
+        Event::LampHours { age } => age.words(),
         Event::ViewRetaken { view, change: Some(change) } => {
             format!("view {view} is taken again: the lamp changed by {:.2} %", change * 100.0)
         }

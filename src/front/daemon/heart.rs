@@ -101,6 +101,7 @@ mod tests {
             missing: 0,
             state,
             begun: UtcMicros(0),
+            lamp: Default::default(),
             forecast_s: 10.0,
             silence_s: 600.0,
             heard_s: 0.0,

@@ -5,6 +5,7 @@ use super::queue::Queue;
 use crate::control::events::{Event, Stamped};
 use crate::control::sequencer::state::State;
 use crate::control::sequencer::verbs::Verb;
+use crate::front::lamp::LampWait;
 use crate::front::remaining::left_s;
 use goniod_drivers::clock::{Clock, UtcMicros};
 use serde::{Deserialize, Serialize};
@@ -87,6 +88,8 @@ pub struct Current {
     pub state: State,
     /// When it began or went on.
     pub begun: UtcMicros,
+    /// What a lamp that went out takes besides the forecast.
+    pub lamp: LampWait,
     /// Forecast of the whole plan, seconds.
     pub forecast_s: f64,
     /// Longest time without an event that a sound sequencer can need, seconds.
@@ -185,11 +188,13 @@ impl Current {
     pub fn left_s(&self, now: UtcMicros) -> f64 {
         let done = (self.stored + self.missing).saturating_sub(self.steps.saturating_sub(self.to_do));
         let share = f64::from(self.to_do) / f64::from(self.steps.max(1));
-        left_s(self.forecast_s * share, (now.0 - self.begun.0) as f64 / 1e6, done, self.to_do)
+        let elapsed_s = (now.0 - self.begun.0) as f64 / 1e6 - self.lamp.taken_s(now);
+        left_s(self.forecast_s * share, elapsed_s, done, self.to_do) + self.lamp.ahead_s(now)
     }
 
     fn note(&mut self, stamped: &Stamped, now_s: f64) {
         self.heard_s = now_s;
+        self.lamp.note(stamped);
         match &stamped.event {
             Event::RunStarted { steps, to_do } => (self.steps, self.to_do) = (*steps, *to_do),
             Event::StateChanged { to, .. } => self.state = to.clone(),

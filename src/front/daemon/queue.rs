@@ -13,6 +13,8 @@ use super::snapshot;
 use crate::archive::disk::{Disk, RealDisk, TEMPORARY_PREFIX, make_folders};
 use crate::archive::write_atomic;
 use crate::config::check::Checked;
+use crate::config::error::ConfigError;
+use crate::config::source::read_bytes;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fs;
@@ -24,6 +26,8 @@ pub const MOST_WAITING: usize = 500;
 const MOST_OVER: usize = 200;
 const ENTRY: &str = "entry.json";
 const HELD: &str = "held";
+/// Largest file of the queue that is read, bytes.
+const LARGEST_ENTRY: u64 = 1 << 20;
 
 /// The queue of one state folder.
 #[derive(Debug)]
@@ -223,8 +227,8 @@ impl Queue {
         }
         let number: Option<u32> = name.parse().ok().filter(|n| format!("{n:06}") == name);
         self.highest = self.highest.max(number.unwrap_or(0));
-        let read = fs::read_to_string(path.join(ENTRY)).map_err(|e| format!("{ENTRY} cannot be read: {e}"));
-        let entry = read.and_then(|text| serde_json::from_str::<Entry>(&text).map_err(|e| format!("{ENTRY}: {e}")));
+        let read = read_bytes(&path.join(ENTRY), "queue", LARGEST_ENTRY).map_err(|e| e.to_string());
+        let entry = read.and_then(|text| serde_json::from_slice::<Entry>(&text).map_err(|e| format!("{ENTRY}: {e}")));
         match entry {
             Ok(entry) if Some(entry.id) == number => {
                 self.entries.insert(entry.id, entry);
@@ -248,8 +252,8 @@ impl Queue {
 
 /// Why the queue is held. A note that cannot be read holds it all the same: somebody wanted it held.
 fn read_hold(path: &Path) -> Option<String> {
-    match fs::read(path) {
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => None,
+    match read_bytes(path, "hold", LARGEST_ENTRY) {
+        Err(ConfigError::NotFound { .. }) => None,
         Ok(bytes) if !bytes.trim_ascii().is_empty() && bytes.iter().all(|b| *b != 0) => {
             Some(String::from_utf8_lossy(bytes.trim_ascii()).into_owned())
         }

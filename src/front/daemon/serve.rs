@@ -6,12 +6,13 @@ use super::lock::Locks;
 use super::queue::Queue;
 use super::{heart, products, snapshot, worker};
 use crate::config::instrument::Instrument;
+use crate::control::sequencer::verbs::ending_signals;
 use crate::front::api::server::Servers;
 use goniod_drivers::clock::Clock;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::signal::unix::Signal;
 
 /// The socket where nothing else is said.
 pub const USUAL_SOCKET: &str = "/run/goniod/goniod.sock";
@@ -29,13 +30,14 @@ pub struct Place {
     pub listen: Option<SocketAddr>,
 }
 
-/// Serves until SIGTERM or SIGINT; the second one ends the run under way at once. `ready` is called when requests are
+/// Serves until SIGTERM, SIGINT, SIGQUIT or SIGHUP; the second one ends the run under way at once. `ready` is called when requests are
 /// taken.
 ///
 /// # Errors
 /// [`DaemonError`]: the instrument or the state folder is in use, the socket cannot be made.
 pub async fn serve(place: &Place, instrument: &Instrument, ready: impl FnOnce()) -> Result<(), DaemonError> {
-    let signals = [SignalKind::terminate(), SignalKind::interrupt()].map(signal);
+    let signals =
+        ending_signals().map_err(|source| DaemonError::Io { path: Path::new("SIGTERM").to_owned(), source })?;
     let locks = Locks::of_instrument(&place.instrument, instrument, "goniod serve")?.and_state(&place.state)?;
     let facts = Facts {
         name: instrument.name.clone(),
@@ -46,7 +48,6 @@ pub async fn serve(place: &Place, instrument: &Instrument, ready: impl FnOnce())
     let hub = Arc::new(Hub::new(facts, Queue::open(&place.state)?, Clock::system()));
     let servers = Servers::start(&hub, &place.socket, place.listen).await?;
     for signal in signals {
-        let signal = signal.map_err(|source| DaemonError::Io { path: Path::new("SIGTERM").to_owned(), source })?;
         tokio::spawn(end_when_asked(Arc::clone(&hub), signal));
     }
     tokio::spawn(products::work(Arc::clone(&hub)));

@@ -30,7 +30,7 @@ pub struct Begun {
     pub run: String,
 }
 
-/// Checks a scan for the queue.
+/// Checks a scan for the queue; gives what somebody should know too.
 ///
 /// # Errors
 /// Every fault of the files, or a scan that cannot be planned.
@@ -38,10 +38,13 @@ pub fn check_for_queue(
     hub: &Hub,
     scan: &Path,
     clock: Clock,
-) -> Result<(QueuedScan, Checked), super::error::DaemonError> {
+) -> Result<(QueuedScan, Checked, Vec<String>), super::error::DaemonError> {
     let (scan, instrument) = (snapshot::plain(scan), &hub.facts.instrument);
     let checked = check(&scan, instrument, &check_options(clock))?;
     let plan = night::plan(&checked).map_err(|f| super::error::DaemonError::Plan(f.messages.join("; ")))?;
+    let warnings = checked.warnings.iter().map(ToString::to_string);
+    let lamp = night::lamp_warning(&checked.instrument, &plan, &hub.facts.runs_dir);
+    let warnings = warnings.chain(lamp).collect();
     let queued = QueuedScan {
         name: checked.scan.name.clone(),
         scan,
@@ -52,7 +55,7 @@ pub fn check_for_queue(
         files: snapshot::kept(&checked),
         simulated: snapshot::simulated(&checked),
     };
-    Ok((queued, checked))
+    Ok((queued, checked, warnings))
 }
 
 /// Prepares an entry's run; the entry is then written as running under its run's name.
@@ -70,6 +73,9 @@ pub fn begin(hub: &Hub, entry: &Entry, clock: Clock) -> Result<Begun, String> {
     let folder = hub.queue(|queue| queue.folder_of(entry.id));
     let checked = snapshot::read(&folder, scan, &check_options(clock)).map_err(|e| e.to_string())?;
     let plan = night::plan(&checked).map_err(sentence)?;
+    if let Some(warning) = night::lamp_warning(&checked.instrument, &plan, &hub.facts.runs_dir) {
+        tracing::warn!(entry = entry.id, warning);
+    }
     let opened = open_as_written(&checked, clock).map_err(|e| e.to_string())?;
     let run = free_name(&hub.facts.runs_dir, night::name(&checked, &plan, clock));
     // First the name, then the directory: whichever a crash finds, the next start knows what to do.

@@ -5,11 +5,13 @@ use super::error::DaemonError;
 use super::hub::{Current, Hub, Phase};
 use super::lock::Locks;
 use super::start::{Begun, begin};
+use crate::archive::rows::Summary;
 use crate::config::night::Recovery;
 use crate::control::events::{EventBus, Stamped};
 use crate::control::sequencer::run::Outcome;
 use crate::control::sequencer::state::{Ending, State};
 use crate::control::sequencer::verbs::Verb;
+use crate::front::lamp::LampWait;
 use crate::front::night;
 use crate::front::runs::{OPEN, status_of};
 use goniod_drivers::clock::Clock;
@@ -56,7 +58,13 @@ async fn carry_out(hub: &Arc<Hub>, locks: &Locks, entry: &Entry) {
     let begun = begin(hub, entry, Clock::system());
     let mut begun = match begun {
         Ok(begun) => begun,
-        Err(reason) => return failed(hub, entry, reason),
+        Err(reason) => {
+            failed(hub, entry, reason.clone());
+            if let EntryState::Running { run } = &entry.state {
+                left_behind(hub, run, &reason).await;
+            }
+            return;
+        }
     };
     let run = begun.run.clone();
     locks.tell(Some(&run));
@@ -71,6 +79,15 @@ async fn carry_out(hub: &Arc<Hub>, locks: &Locks, entry: &Entry) {
             hold(hub, format!("the run {run} broke off: {reason}"));
         }
     }
+}
+
+/// A run that was cut short and cannot be gone on with: the bench is made safe, and somebody must look before the next.
+async fn left_behind(hub: &Arc<Hub>, run: &str, reason: &str) {
+    let safe = match super::safety::make_safe(hub).await {
+        Ok(words) => words,
+        Err(why) => format!("the bench could not be made safe: {why}"),
+    };
+    hold(hub, format!("the run {run} was cut short and cannot be gone on with: {reason} ({safe})"));
 }
 
 /// Takes the exposures; gives the outcome and whether the daemon's own end cut the run short.
@@ -127,16 +144,20 @@ async fn ask(verbs: &mpsc::Sender<Verb>, verb: Verb) {
 fn current(hub: &Hub, entry: &Entry, begun: &Begun, (verbs, beats): (mpsc::Sender<Verb>, Arc<AtomicU64>)) -> Current {
     let plan = &begun.night.plan;
     let longest_s = plan.steps.iter().map(|s| s.exposure.0).max().unwrap_or(0) as f64 / 1e6;
+    // A run that is gone on with has frames already; a journal that cannot be read ends the run in a moment.
+    let Summary { stored, missing, .. } = begun.night.run.with(|journal| journal.summary()).unwrap_or_default();
+    let steps = plan.steps.len() as u32;
     Current {
         entry: entry.id,
         run: begun.run.clone(),
         scan: begun.checked.scan.name.clone(),
-        steps: plan.steps.len() as u32,
-        to_do: plan.steps.len() as u32,
-        stored: 0,
-        missing: 0,
+        steps,
+        to_do: steps.saturating_sub(stored + missing),
+        stored,
+        missing,
         state: State::Idle,
         begun: begun.clock.utc(),
+        lamp: LampWait::default(),
         forecast_s: plan.forecast.total_s(),
         silence_s: SILENCE_S + SILENT_EXPOSURES * longest_s + longest_outage_s(&begun.checked.instrument.recovery),
         heard_s: hub.clock.elapsed().as_secs_f64(),
@@ -251,7 +272,7 @@ fn settle(hub: &Hub) -> bool {
         let EntryState::Running { run } = &entry.state else { continue };
         let path = hub.facts.runs_dir.join(run);
         match status_of(&path) {
-            None => change(hub, entry.id, |e| e.state = EntryState::Waiting),
+            None if !path.exists() => change(hub, entry.id, |e| e.state = EntryState::Waiting),
             Some(status) if status.planned == 0 && status.state != OPEN => {
                 let ended = Ended {
                     ending: status.state,
@@ -266,10 +287,10 @@ fn settle(hub: &Hub) -> bool {
                     e.products = if status.stored > 0 { Products::Pending } else { Products::None };
                 });
             }
-            Some(_) if hub.facts.auto_resume || matches!(entry.work, Work::Resume { .. }) => {
+            _ if hub.facts.auto_resume || matches!(entry.work, Work::Resume { .. }) => {
                 left |= hub.queue(|queue| queue.held().is_some());
             }
-            Some(_) => {
+            _ => {
                 left = true;
                 let reason =
                     format!("the daemon ended in the middle of this run; `goniod resume {run}` goes on with it");

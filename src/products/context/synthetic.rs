@@ -36,6 +36,7 @@ pub fn context() -> ProductContext {
         started: "2026-03-04T18:00:00Z".parse().unwrap(),
         finished: Some("2026-03-05T03:12:44Z".parse().unwrap()),
         lamp: "HMI 2.5 kW".to_owned(),
+        lamp_hours: None,
         normalisation: "reference diffuser, views after every 20 directions".to_owned(),
         bands: vec![
             row("f1", 380.0, 450.0, "BG3 2 mm + GG385 2 mm", "ccd"),
@@ -45,6 +46,7 @@ pub fn context() -> ProductContext {
         ],
         plan_hash: "9f2c6a1d0b".to_owned(),
         versions: vec![("goniod".to_owned(), "0.1.0".to_owned())],
+        night: vec![("Took".to_owned(), "1 h 02 min, forecast 1 h 00 min".to_owned())],
         counts: Counts { planned: 1200, stored: 1200, missing: 0, rejected: 3, missing_reasons: vec![] },
         checks: Checks {
             reciprocity: Some(0.012),

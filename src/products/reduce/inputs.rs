@@ -4,6 +4,7 @@ use super::light::{DriftFactor, LightCurve};
 use super::readings::Setup;
 use crate::archive::rows::FrameRow;
 use crate::archive::rundir::PLAN;
+use crate::archive::verify::records_must_be_sound;
 use crate::archive::{ArchiveError, RunDir};
 use crate::config::curves::{Curves, reflection_factors};
 use crate::control::plan::document::RunDocument;
@@ -70,8 +71,9 @@ impl Run {
     /// Opens the run directory at `path`.
     ///
     /// # Errors
-    /// Not a run, a plan of another version, a kept file that is damaged.
+    /// Not a run, a plan of another version, a journal, plan or kept file that is not as it was written.
     pub fn open(path: &Path) -> Result<Run> {
+        records_must_be_sound(path)?;
         let dir = RunDir::open(path)?;
         let text = dir.plan_toml()?;
         let document: RunDocument = toml::from_str(&text)

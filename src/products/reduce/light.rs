@@ -1,7 +1,7 @@
 //! The lamp's level through the night, from the light monitor's readings in the journal: what a view is scaled by.
 
 use crate::archive::rows::EventRow;
-use crate::control::events::Event;
+use crate::control::events::{Event, LampNow};
 
 /// One level of the lamp.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -29,15 +29,26 @@ pub struct DriftFactor {
 // === impl LightCurve ===
 
 impl LightCurve {
-    /// The readings of a journal; empty where it has none.
+    /// The readings of a journal; empty where it has none. What was read of a lamp that was out or warming up is no
+    /// level: nothing is exposed then, and the first level is what everything is scaled to.
     pub fn of(events: &[EventRow]) -> LightCurve {
+        let mut warm = true;
         let level = |row: &EventRow| match serde_json::from_str(&row.json) {
-            Ok(Event::LightRead { power_w, u_w, .. }) if power_w > 0.0 && u_w.is_finite() => {
+            Ok(Event::LightRead { power_w, u_w, .. }) if warm && power_w > 0.0 && u_w.is_finite() => {
                 Some(Level { utc_us: row.utc_us, power_w, u_w })
+            }
+            Ok(Event::Lamp { lamp }) => {
+                warm = matches!(lamp, LampNow::Steady | LampNow::Drifting);
+                None
+            }
+            Ok(Event::RunStarted { .. }) => {
+                warm = true;
+                None
             }
             _ => None,
         };
-        let mut levels: Vec<Level> = events.iter().filter(|row| row.kind == "light-read").filter_map(level).collect();
+        let telling = |row: &&EventRow| ["light-read", "lamp", "run-started"].contains(&row.kind.as_str());
+        let mut levels: Vec<Level> = events.iter().filter(telling).filter_map(level).collect();
         levels.sort_by_key(|level| level.utc_us);
         LightCurve { levels }
     }
@@ -90,6 +101,30 @@ mod tests {
         assert!((between.factor - 2.0 / 1.5).abs() < 1e-12);
         assert!((between.relative_u - (0.5 / 1.5) / 12.0_f64.sqrt()).abs() < 1e-12, "the change within the view");
         assert_eq!(curve.factor(5000, 6000).unwrap().factor, 2.0, "beyond the last reading it holds");
+    }
+
+    #[test]
+    fn a_lamp_that_is_out_or_warms_up_gives_no_level() {
+        let lamp = |utc_us, lamp| {
+            let event = Event::Lamp { lamp };
+            EventRow { seq: 0, utc_us, kind: event.kind().to_owned(), json: serde_json::to_string(&event).unwrap() }
+        };
+        let warming = || LampNow::Warming { steady_from: goniod_drivers::clock::UtcMicros(2000) };
+        let rows = [
+            lamp(0, warming()),
+            row(0, 0.3, 0.0),
+            lamp(2000, LampNow::Steady),
+            row(2000, 1.0, 0.0),
+            lamp(3000, LampNow::Off { warm_up_s: 1.0 }),
+            row(3000, 1e-9, 0.0),
+            lamp(4000, warming()),
+            row(4000, 0.3, 0.0),
+            lamp(6000, LampNow::Steady),
+            row(6000, 0.5, 0.0),
+        ];
+        let curve = LightCurve::of(&rows);
+        assert_eq!(curve.factor(2000, 2000).unwrap().factor, 1.0);
+        assert_eq!(curve.factor(6000, 7000).unwrap().factor, 2.0);
     }
 
     #[test]

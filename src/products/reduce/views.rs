@@ -82,7 +82,8 @@ fn frames_of(run: &Run, view: &View, steps: &[&Step]) -> Result<Vec<Vec<Stored>>
     let mut frames: Vec<Vec<Stored>> = Vec::new();
     for step in steps {
         let Some(row) = run.frames.get(&step.number) else { continue };
-        let pixels = run.dir.frames().read_frame(&view.camera, view.array_index, step.exposure_index)?;
+        let (array, exposure) = (view.array_index, step.exposure_index);
+        let pixels = run.dir.frames().read_proven(&view.camera, array, exposure, &row.digest)?;
         let Some(pixels) = pixels else {
             return Err(ProductError::Nothing(format!(
                 "the journal lists the frame of step {}, but the frame store lacks it; run `goniod verify`",

@@ -1,6 +1,6 @@
 //! The report: one HTML page without scripts or outside files, the verdict first.
 //!
-//! Can it be trusted ([`verdict`]), what came out (table, pictures, spectrum), how sure (coverage, budget), how it was
+//! Can it be trusted ([`verdict`]), what came out (table, pictures, spectrum), how sure (coverage, budget), what happened in the night, how it was
 //! measured, where it comes from. The page holds no clock: equal input gives equal bytes.
 
 pub mod html;
@@ -50,6 +50,7 @@ pub fn report(context: &ProductContext, set: &BsdfSet, figures: &[Figure], files
         sections::figures(figures),
         sections::coverage(set),
         sections::uncertainty(context),
+        sections::night(context),
         sections::method(context),
         sections::provenance(context),
         sections::files(files),

@@ -168,7 +168,7 @@ pub fn uncertainty(context: &ProductContext) -> String {
 
 /// What was measured and how.
 pub fn method(context: &ProductContext) -> String {
-    let rows: Vec<Vec<String>> = context
+    let bands: Vec<Vec<String>> = context
         .bands
         .iter()
         .map(|b| {
@@ -176,12 +176,11 @@ pub fn method(context: &ProductContext) -> String {
             vec![b.name.clone(), interval, b.glasses.clone(), b.camera.clone()]
         })
         .collect();
-    let mut body = pairs(&[
-        ("Sample".to_owned(), sample_line(context)),
-        ("Lamp".to_owned(), context.lamp.clone()),
-        ("Normalisation".to_owned(), context.normalisation.clone()),
-    ]);
-    body.push_str(&table(&["Band", "Interval", "Filter glasses", "Camera"], &rows, 9));
+    let mut rows = vec![("Sample".to_owned(), sample_line(context)), ("Lamp".to_owned(), context.lamp.clone())];
+    rows.extend(context.lamp_hours.clone().map(|hours| ("Hours of the lamp".to_owned(), hours)));
+    rows.push(("Normalisation".to_owned(), context.normalisation.clone()));
+    let mut body = pairs(&rows);
+    body.push_str(&table(&["Band", "Interval", "Filter glasses", "Camera"], &bands, 9));
     if !context.notes.is_empty() {
         body.push_str("\n<h3>Notes</h3>\n<ul>\n");
         for note in &context.notes {
@@ -196,6 +195,11 @@ fn sample_line(context: &ProductContext) -> String {
     let s = &context.sample;
     let maker = if s.manufacturer.is_empty() { "maker unknown" } else { &s.manufacturer };
     format!("{}, {maker}, {} mm thick, {}", s.name, s.thickness_mm, s.device_type.as_deref().unwrap_or("Other"))
+}
+
+/// How the night went.
+pub fn night(context: &ProductContext) -> String {
+    section("night", "What happened in the night", &pairs(&context.night))
 }
 
 /// Run, plan, versions, serial numbers, counts.

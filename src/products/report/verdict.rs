@@ -72,7 +72,8 @@ fn exposures(context: &ProductContext) -> Finding {
     let share = open as f64 / c.planned.max(1) as f64;
     let light = if share > MISSING_RED || c.planned == 0 { Light::Red } else { Light::Amber };
     let why = if reasons.is_empty() { "no reason recorded".to_owned() } else { reasons.join("; ") };
-    let text = format!("{open} of {} planned exposures are not there ({why}); `goniod resume` takes them", c.planned);
+    let how = if c.missing > 0 { "goniod resume RUN --missing" } else { "goniod resume RUN" };
+    let text = format!("{open} of {} planned exposures are not there ({why}); `{how}` tries them again", c.planned);
     Finding { light, what, text }
 }
 

@@ -2,8 +2,8 @@
 
 use super::say::Report;
 use crate::config::instrument::{Axis, Instrument};
-use crate::front::bench::by_hand::Hand;
 use goniod_drivers::clock::Clock;
+use goniod_drivers::conformance::Subject;
 use goniod_drivers::contract::{Camera, CameraSettings, Identity, RotaryAxis, ShutterState, Spectrometer};
 use goniod_drivers::error::{DeviceError, ErrorKind, Result};
 use goniod_drivers::units::{Degrees, ExposureTime, Nanometres, Slot};
@@ -108,7 +108,7 @@ pub fn exposure(instrument: &Instrument, name: &str, seconds: f64) -> std::resul
 ///
 /// # Errors
 /// The device's own.
-pub async fn identify(hand: &mut Hand, clock: Clock) -> Result<Identity> {
+pub async fn identify(hand: &mut Subject, clock: Clock) -> Result<Identity> {
     limited(clock, LIMIT, hand.device().open()).await
 }
 
@@ -116,30 +116,30 @@ pub async fn identify(hand: &mut Hand, clock: Clock) -> Result<Identity> {
 ///
 /// # Errors
 /// The device's own.
-pub async fn look(hand: &mut Hand, report: &mut Report, clock: Clock) -> Result<()> {
+pub async fn look(hand: &mut Subject, report: &mut Report, clock: Clock) -> Result<()> {
     report.health = Some(limited(clock, LIMIT, hand.device().health()).await?);
     state(hand, report, clock).await
 }
 
 /// Where the device stands now.
-async fn state(hand: &mut Hand, report: &mut Report, clock: Clock) -> Result<()> {
+async fn state(hand: &mut Subject, report: &mut Report, clock: Clock) -> Result<()> {
     let text = |value: Option<String>| Some(value.unwrap_or_else(|| "unknown".to_owned()));
     report.state = match hand {
-        Hand::Axis(axis) => text(limited(clock, LIMIT, axis.position()).await?.map(|at| at.to_string())),
-        Hand::Wheel(wheel) => text(limited(clock, LIMIT, wheel.slot()).await?.map(|slot| slot.to_string())),
-        Hand::Shutter(shutter) => {
+        Subject::Axis(axis) => text(limited(clock, LIMIT, axis.position()).await?.map(|at| at.to_string())),
+        Subject::Wheel(wheel) => text(limited(clock, LIMIT, wheel.slot()).await?.map(|slot| slot.to_string())),
+        Subject::Shutter(shutter) => {
             let state = limited(clock, LIMIT, shutter.state()).await?;
             text(state.map(|s| format!("{s:?}").to_lowercase()))
         }
-        Hand::Monochromator(m) => text(limited(clock, LIMIT, m.wavelength()).await?.map(|at| at.to_string())),
-        Hand::Camera(camera) => {
+        Subject::Monochromator(m) => text(limited(clock, LIMIT, m.wavelength()).await?.map(|at| at.to_string())),
+        Subject::Camera(camera) => {
             let info = camera.info();
             Some(format!(
                 "{} x {} pixels, {:?}, {} to {}",
                 info.width, info.height, info.format, info.shortest, info.longest
             ))
         }
-        Hand::LightMonitor(_) | Hand::Spectrometer(_) => None,
+        Subject::LightMonitor(_) | Subject::Spectrometer(_) => None,
     };
     Ok(())
 }
@@ -148,13 +148,13 @@ async fn state(hand: &mut Hand, report: &mut Report, clock: Clock) -> Result<()>
 ///
 /// # Errors
 /// The device's own.
-pub async fn go(hand: &mut Hand, target: Target, report: &mut Report, clock: Clock) -> Result<()> {
+pub async fn go(hand: &mut Subject, target: Target, report: &mut Report, clock: Clock) -> Result<()> {
     match (&mut *hand, target) {
-        (Hand::Axis(axis), Target::Home) => limited(clock, MOVE_LIMIT, axis.home()).await?,
-        (Hand::Axis(axis), Target::Angle(angle)) => turn(axis.as_mut(), angle, report, clock).await?,
-        (Hand::Wheel(wheel), Target::Place(slot)) => drop(limited(clock, MOVE_LIMIT, wheel.select(slot)).await?),
-        (Hand::Shutter(shutter), Target::Shutter(state)) => limited(clock, MOVE_LIMIT, shutter.set(state)).await?,
-        (Hand::Monochromator(m), Target::Wavelength(nm)) => drop(limited(clock, MOVE_LIMIT, m.tune(nm)).await?),
+        (Subject::Axis(axis), Target::Home) => limited(clock, MOVE_LIMIT, axis.home()).await?,
+        (Subject::Axis(axis), Target::Angle(angle)) => turn(axis.as_mut(), angle, report, clock).await?,
+        (Subject::Wheel(wheel), Target::Place(slot)) => drop(limited(clock, MOVE_LIMIT, wheel.select(slot)).await?),
+        (Subject::Shutter(shutter), Target::Shutter(state)) => limited(clock, MOVE_LIMIT, shutter.set(state)).await?,
+        (Subject::Monochromator(m), Target::Wavelength(nm)) => drop(limited(clock, MOVE_LIMIT, m.tune(nm)).await?),
         _ => return Err(DeviceError::new(ErrorKind::Refused, &report.name, "it cannot be moved so")),
     }
     state(hand, report, clock).await
@@ -173,14 +173,14 @@ async fn turn(axis: &mut dyn RotaryAxis, angle: Degrees, report: &mut Report, cl
 /// # Errors
 /// The device's own.
 pub async fn read(
-    hand: &mut Hand,
+    hand: &mut Subject,
     settings: (Option<ExposureTime>, f64),
     report: &mut Report,
     clock: Clock,
 ) -> Result<()> {
     let (exposure, gain) = settings;
     match hand {
-        Hand::LightMonitor(monitor) => {
+        Subject::LightMonitor(monitor) => {
             let reading = limited(clock, LIMIT, monitor.read()).await?;
             report.reading("power_w", reading.power_w);
             report.reading("wavelength_nm", reading.wavelength.0);
@@ -188,8 +188,8 @@ pub async fn read(
                 report.notes.push("saturated: the power is no measurement".to_owned());
             }
         }
-        Hand::Spectrometer(spectrometer) => spectrum(spectrometer.as_mut(), exposure, report, clock).await?,
-        Hand::Camera(camera) => frame(camera.as_mut(), exposure, gain, report, clock).await?,
+        Subject::Spectrometer(spectrometer) => spectrum(spectrometer.as_mut(), exposure, report, clock).await?,
+        Subject::Camera(camera) => frame(camera.as_mut(), exposure, gain, report, clock).await?,
         _ => state(hand, report, clock).await?,
     }
     Ok(())
