@@ -119,6 +119,13 @@ async fn down_and_up(twins: Twins, span: Duration) {
     }
 }
 
+/// The total is the steady lamp's within twice its standard uncertainty.
+fn is_the_same(found: &Column, steady: &Column) {
+    let Column { hemispherical: value, hemispherical_u: u, .. } = found;
+    let far = (value - steady.hemispherical).abs();
+    assert!(far <= 2.0 * u, "{value} +- {u} instead of {}", steady.hemispherical);
+}
+
 fn columns(over: &Over) -> Vec<Column> {
     is_whole(over);
     reduce(&Run::open(&over.path).unwrap()).unwrap().set.columns
@@ -135,14 +142,7 @@ fn a_lamp_that_drifts_gives_the_same_bsdf_and_without_the_monitor_would_not() {
         assert_eq!((a.side, a.incident, a.quantity), (b.side, b.incident, b.quantity));
         worst = worst.max((b.hemispherical / a.hemispherical - 1.0).abs());
         worst_without = worst_without.max((c.hemispherical / a.hemispherical - 1.0).abs());
-        let far = (b.hemispherical - a.hemispherical).abs();
-        assert!(
-            far <= 2.0 * b.hemispherical_u,
-            "{} +- {} instead of {}",
-            b.hemispherical,
-            b.hemispherical_u,
-            a.hemispherical
-        );
+        is_the_same(b, a);
         for ((a, b), c) in a.patches.iter().zip(&b.patches).zip(&c.patches).filter(|((a, _), _)| a.bsdf.is_finite()) {
             patches += 1;
             within += usize::from((b.bsdf - a.bsdf).abs() <= 2.0 * b.u);
@@ -210,14 +210,7 @@ fn a_lamp_that_was_struck_again_is_waited_for_and_costs_no_truth() {
     assert_eq!(told(|lamp| matches!(lamp, LampNow::Cooling { .. })), 1);
     assert_eq!((told(|lamp| *lamp == LampNow::Steady), told(|l| matches!(l, LampNow::Off { .. }))), (2, 1));
     for (a, b) in steady.iter().zip(&columns(&over)) {
-        let far = (b.hemispherical - a.hemispherical).abs();
-        assert!(
-            far <= 2.0 * b.hemispherical_u,
-            "{} +- {}, not {}",
-            b.hemispherical,
-            b.hemispherical_u,
-            a.hemispherical
-        );
+        is_the_same(b, a);
     }
 }
 

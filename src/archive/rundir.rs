@@ -89,8 +89,8 @@ impl RunDir {
         RunDir::with_journal(path, Journal::open_read_only(&journal_of(path)?)?, Arc::new(RealDisk), false)
     }
 
-    /// Opens a run that was closed or cut short, to go on with it; its journal must be as it was written. Its seal is broken until it is closed again, and what
-    /// unfinished writes left is removed.
+    /// Opens a run that was closed or cut short, to go on with it; its journal must be as it was written. Its seal is broken
+    /// until it is closed again, and what unfinished writes left is removed.
     ///
     /// # Errors
     /// As [`RunDir::open`], [`ArchiveError::Damaged`], and the disk's kinds.

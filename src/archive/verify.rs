@@ -9,7 +9,7 @@ use super::rows::{FileRow, FrameRow, StepRow, StepState, Summary};
 use super::rundir::{JOURNAL, RunDir};
 use super::seal::{PRODUCTS, PRODUCTS_SEAL, ProductFault, SEAL, check_products, journal_seal};
 use super::space::{BALLAST, ballast_changed};
-use crate::digest::sha256_hex;
+use crate::digest::{sha256_hex, sha256_of_file};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -187,7 +187,7 @@ fn check_journal(path: &Path, report: &mut Verification) -> Result<()> {
         true => fs::read(path.join(SEAL)).map_err(|e| ArchiveError::io("read", &path.join(SEAL), &e))?,
         false => Vec::new(),
     };
-    let bytes = fs::read(&file).map_err(|e| ArchiveError::io("read", &file, &e))?;
+    let digest = sha256_of_file(&file).map_err(|e| ArchiveError::io("read", &file, &e))?;
     let journal = match Journal::open_read_only(&file) {
         Ok(journal) => journal,
         Err(e) => {
@@ -200,7 +200,7 @@ fn check_journal(path: &Path, report: &mut Verification) -> Result<()> {
     }
     let damage = journal.integrity()?;
     report.findings.extend(damage.into_iter().map(Finding::JournalDamaged));
-    if report.sealed && seal != journal_seal(&sha256_hex(&bytes), &journal.row_digest()?).as_bytes() {
+    if report.sealed && seal != journal_seal(&digest, &journal.row_digest()?).as_bytes() {
         let message = format!("{JOURNAL} or {SEAL} was changed after the run was closed");
         report.findings.push(Finding::SealBroken(message));
     }
@@ -260,15 +260,15 @@ fn check_step(
         (StepState::Missing(_), None) => return,
     };
     let path = run.frames().chunk_path(&at.camera, at.array_index, at.exposure_index);
-    match fs::read(&path) {
-        Err(_) => report.findings.push(Finding::ChunkMissing(at.number)),
-        Ok(bytes) if bytes.len() as u64 != frame.bytes || sha256_hex(&bytes) != frame.digest => {
-            report.findings.push(Finding::ChunkChanged(at.number));
+    let length = fs::metadata(&path).map_or(frame.bytes, |meta| meta.len());
+    match run.frames().read_proven(&at.camera, at.array_index, at.exposure_index, &frame.digest) {
+        Ok(None) | Err(ArchiveError::Io { .. } | ArchiveError::Failing { .. }) => {
+            report.findings.push(Finding::ChunkMissing(at.number));
         }
-        Ok(_) => match run.frames().read_frame(&at.camera, at.array_index, at.exposure_index) {
-            Ok(Some(_)) => {}
-            _ => report.findings.push(Finding::ChunkUnreadable(at.number)),
-        },
+        Err(ArchiveError::Damaged { .. }) => report.findings.push(Finding::ChunkChanged(at.number)),
+        Ok(Some(_)) if length != frame.bytes => report.findings.push(Finding::ChunkChanged(at.number)),
+        Ok(Some(_)) => {}
+        Err(_) => report.findings.push(Finding::ChunkUnreadable(at.number)),
     }
     known.insert(path);
 }

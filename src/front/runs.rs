@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// State of a run whose end no journal tells: under way or cut short.
-pub const OPEN: &str = "open";
+const OPEN: &str = "open";
 
 /// How a run stands.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -33,6 +33,15 @@ pub struct RunStatus {
     pub safe: bool,
     /// When the last event came, and its kind.
     pub last_event: Option<String>,
+}
+
+// === impl RunStatus ===
+
+impl RunStatus {
+    /// Every exposure is stored or listed as missing, and the run was ended.
+    pub fn is_finished(&self) -> bool {
+        self.planned == 0 && self.state != OPEN
+    }
 }
 
 /// The latest runs of a folder by name, the newest last.

@@ -1,17 +1,13 @@
 //! The units under a real systemd, booted in namespaces of its own: killed, hung, given up and stopped.
 
-use super::{quick_lab, scan_text};
+use super::{comes_true, quick_lab, scan_text};
 use crate::common::{Lab, root, text};
 use std::fs;
 use std::path::PathBuf;
-use std::process::{Child, Command, Stdio};
-use std::time::Duration;
+use std::process::{Child, Command, Output, Stdio};
 
-/// Signs of life that the test waits for instead of those of the unit, so that a hang is over within seconds.
-const WATCHDOG: &str = "[Service]\nWatchdogSec=4\nRestartSec=100ms\n";
-
-/// Looks of a tenth of a second that a condition gets.
-const LOOKS: usize = 900;
+/// Limits of the test instead of those of the unit, so that a hang is over soon, but none that a busy machine breaks.
+const WATCHDOG: &str = "[Service]\nWatchdogSec=20\nRestartSec=100ms\n";
 
 /// A machine with nothing but systemd and goniod.
 struct Machine {
@@ -44,11 +40,12 @@ impl Machine {
         unshare.arg(root().join("tests/served/boot.sh")).arg(folder.path());
         let boot = unshare.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().ok()?;
         let mut machine = Machine { boot, folder };
-        let up = (0..LOOKS).any(|_| {
-            std::thread::sleep(Duration::from_millis(100));
-            machine.boot.try_wait().unwrap().is_some() || machine.says(&["systemctl", "is-system-running"]).is_some()
-        });
-        (up && machine.boot.try_wait().unwrap().is_none()).then_some(machine)
+        // Before systemd is process 1 its own commands say "offline", and do nothing without an error.
+        let up = |m: &Machine| {
+            matches!(m.says(&["systemctl", "is-system-running"]).as_deref(), Some("running" | "degraded"))
+        };
+        let settled = comes_true(|| machine.boot.try_wait().unwrap().is_some() || up(&machine));
+        (settled && machine.boot.try_wait().unwrap().is_none()).then_some(machine)
     }
 
     /// Process 1 of the machine, as this one numbers it.
@@ -58,15 +55,25 @@ impl Machine {
         children.split_whitespace().next()?.parse().ok()
     }
 
-    /// What a command in the machine says; `None` where it says nothing.
-    fn says(&self, command: &[&str]) -> Option<String> {
+    /// A command in the machine.
+    fn run(&self, command: &[&str]) -> Option<Output> {
         let target = self.first()?.to_string();
         let new_root = self.folder.path().join("root");
         let mut enter = Command::new("nsenter");
         enter.args(["-t", &target, "-m", "-p", "-u", "-i", "-C", "chroot"]).arg(new_root).args(command);
-        let said = enter.stdin(Stdio::null()).output().ok()?;
-        let out = String::from_utf8_lossy(&said.stdout).trim().to_owned();
+        enter.stdin(Stdio::null()).output().ok()
+    }
+
+    /// What a command in the machine says; `None` where it says nothing.
+    fn says(&self, command: &[&str]) -> Option<String> {
+        let out = String::from_utf8_lossy(&self.run(command)?.stdout).trim().to_owned();
         (!out.is_empty()).then_some(out)
+    }
+
+    /// A script in the machine whose last command must succeed.
+    fn does(&self, script: &str) {
+        let done = self.run(&["sh", "-c", script]).unwrap();
+        assert!(done.status.success(), "{script}: {}", String::from_utf8_lossy(&done.stderr));
     }
 
     fn sh(&self, script: &str) -> String {
@@ -79,20 +86,20 @@ impl Machine {
     }
 
     fn until(&self, what: &str, mut holds: impl FnMut(&Machine) -> bool) {
-        for _ in 0..LOOKS {
-            if holds(self) {
-                return;
-            }
-            std::thread::sleep(Duration::from_millis(100));
-        }
-        panic!("in vain waited until {what}: {}", self.sh("systemctl status goniod goniod-safe; goniod queue list"));
+        let status = || self.sh("systemctl status goniod goniod-safe; goniod queue list");
+        assert!(comes_true(|| holds(self)), "in vain waited until {what}: {}", status());
     }
 
     fn signal(&self, name: &str) {
-        self.sh(&format!("kill {name} $(systemctl show goniod -p MainPID --value)"));
+        self.does(&format!("kill {name} $(systemctl show goniod -p MainPID --value)"));
     }
 
-    /// Exposures stored, and the state, of the first entry of the queue.
+    /// How often the daemon was begun again.
+    fn restarts(&self) -> u32 {
+        self.property("goniod", "NRestarts").parse().unwrap_or(0)
+    }
+
+    /// Exposures stored of the first run.
     fn stored(&self) -> u64 {
         let runs: Vec<PathBuf> = Vec::from_iter(self.sh("ls -d /var/lib/goniod/runs/*").lines().map(PathBuf::from));
         let Some(run) = runs.first() else { return 0 };
@@ -119,32 +126,33 @@ fn under_a_real_systemd_the_daemon_is_begun_again_given_up_safely_and_stopped_we
         );
         return;
     };
-    machine
-        .sh("systemd-sysusers; systemd-tmpfiles --create goniod.conf; systemctl daemon-reload; systemctl start goniod");
+    machine.does(
+        "systemd-sysusers; systemd-tmpfiles --create goniod.conf; systemctl daemon-reload; systemctl start goniod",
+    );
     let active = |m: &Machine| m.property("goniod", "ActiveState") == "active";
     machine.until("the daemon is ready", active);
-    machine.sh("goniod queue add /etc/goniod/scans/night.toml");
+    machine.does("goniod queue add /etc/goniod/scans/night.toml");
     machine.until("frames are stored", |m| m.stored() > 0);
 
     machine.signal("-KILL");
-    machine.until("it is begun again", |m| m.property("goniod", "NRestarts") == "1" && active(m));
+    machine.until("it is begun again", |m| m.restarts() == 1 && active(m));
     machine.until("it goes on", |m| m.property("goniod", "StatusText").contains("-night-"));
     machine.signal("-STOP");
-    machine.until("the watchdog has begun it again", |m| m.property("goniod", "NRestarts") == "2" && active(m));
+    machine.until("the watchdog has begun it again", |m| m.restarts() == 2 && active(m));
     machine.signal("-KILL");
     machine.until("it is given up", |m| m.property("goniod", "ActiveState") == "failed");
     let safe = |m: &Machine| m.property("goniod-safe", "ExecMainExitTimestampMonotonic") != "0";
     machine.until("the bench was made safe without it", safe);
     assert_eq!(machine.property("goniod-safe", "ExecMainStatus"), "0");
 
-    machine.sh("systemctl reset-failed goniod; systemctl start goniod");
+    machine.does("systemctl reset-failed goniod; systemctl start goniod");
     machine.until("it goes on with the run", |m| m.property("goniod", "StatusText").contains("-night-"));
-    machine.sh("systemctl stop goniod");
+    machine.does("systemctl stop goniod");
     assert_eq!(
         (machine.property("goniod", "Result"), machine.property("goniod", "ExecMainStatus")),
         ("success".into(), "0".into())
     );
-    machine.sh("systemctl start goniod");
+    machine.does("systemctl start goniod");
     machine.until("the run is done", |m| m.sh("goniod queue list --json").contains("\"state\": \"done\""));
     let verdict = machine.sh("cd /var/lib/goniod/runs && goniod verify * 2>&1");
     assert!(verdict.contains("sound") && verdict.contains("0 missing + 0 not done"), "{verdict}");

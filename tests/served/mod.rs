@@ -117,14 +117,9 @@ impl<'a> Daemon<'a> {
     }
 
     /// Looks again and again.
-    pub fn until(&self, what: &str, mut holds: impl FnMut() -> bool) {
-        for _ in 0..LOOKS {
-            if holds() {
-                return;
-            }
-            std::thread::sleep(Duration::from_millis(100));
-        }
-        panic!("in vain waited until {what}: {}", http(&self.socket, "GET", "/v1/queue", "").1);
+    pub fn until(&self, what: &str, holds: impl FnMut() -> bool) {
+        let queue = || http(&self.socket, "GET", "/v1/queue", "").1;
+        assert!(comes_true(holds), "in vain waited until {what}: {}", queue());
     }
 
     /// Listens to events until these words came.
@@ -179,6 +174,17 @@ impl Drop for Daemon<'_> {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
+}
+
+/// Looks ten times a second, for as long as [`LOOKS`] allow.
+fn comes_true(mut holds: impl FnMut() -> bool) -> bool {
+    (0..LOOKS).any(|_| {
+        let now = holds();
+        if !now {
+            std::thread::sleep(Duration::from_millis(100));
+        }
+        now
+    })
 }
 
 fn signal(pid: u32, name: &str) {

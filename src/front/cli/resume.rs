@@ -11,7 +11,7 @@ use crate::front::api::answers::NewEntry;
 use crate::front::bench::{Rehearsal, open_as_written, open_simulated};
 use crate::front::daemon::lock::Locks;
 use crate::front::resume::{Unfinished, accept_lost_end, newest_unfinished};
-use crate::front::runs::{OPEN, status_of};
+use crate::front::runs::{RunStatus, status_of};
 use goniod_drivers::clock::Clock;
 use std::path::{Path, PathBuf};
 
@@ -60,8 +60,8 @@ pub fn run(args: Args, output: &Output) -> Outcome {
             })?
         }
     };
-    let finished = status_of(&path).filter(|s| s.planned == 0 && s.state != OPEN && !(args.missing && s.missing > 0));
-    if finished.is_some() {
+    let nothing_to_do = |status: RunStatus| status.is_finished() && !(args.missing && status.missing > 0);
+    if status_of(&path).is_some_and(nothing_to_do) {
         let what = format!(
             "{}: this run is finished, every exposure is stored or listed as missing; `goniod reduce` makes its products \
              again, --missing tries again what is missing",

@@ -30,8 +30,8 @@ pub struct Place {
     pub listen: Option<SocketAddr>,
 }
 
-/// Serves until SIGTERM, SIGINT, SIGQUIT or SIGHUP; the second one ends the run under way at once. `ready` is called when requests are
-/// taken.
+/// Serves until one of the signals that ask for an end; the second one ends the run under way at once. `ready` is called
+/// when requests are taken.
 ///
 /// # Errors
 /// [`DaemonError`]: the instrument or the state folder is in use, the socket cannot be made.

@@ -12,7 +12,7 @@ use crate::front::cli::input::check_options;
 use crate::front::cli::output::Failure;
 use crate::front::night::{self, Night};
 use crate::front::resume::Unfinished;
-use crate::front::runs::{OPEN, status_of};
+use crate::front::runs::status_of;
 use goniod_drivers::clock::Clock;
 use std::path::Path;
 
@@ -150,7 +150,7 @@ pub fn check_resumable(hub: &Hub, run: &str) -> Result<(), String> {
     if queued {
         return Err(format!("{run} is in the queue already"));
     }
-    if status.planned == 0 && status.state != OPEN {
+    if status.is_finished() {
         return Err(format!("{run} is finished: every exposure is stored or listed as missing"));
     }
     let unfinished = compare_with_now(hub, run)?;

@@ -13,7 +13,7 @@ use crate::control::sequencer::state::{Ending, State};
 use crate::control::sequencer::verbs::Verb;
 use crate::front::lamp::LampWait;
 use crate::front::night;
-use crate::front::runs::{OPEN, status_of};
+use crate::front::runs::status_of;
 use goniod_drivers::clock::Clock;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
@@ -273,7 +273,7 @@ fn settle(hub: &Hub) -> bool {
         let path = hub.facts.runs_dir.join(run);
         match status_of(&path) {
             None if !path.exists() => change(hub, entry.id, |e| e.state = EntryState::Waiting),
-            Some(status) if status.planned == 0 && status.state != OPEN => {
+            Some(status) if status.is_finished() => {
                 let ended = Ended {
                     ending: status.state,
                     stored: status.stored,
