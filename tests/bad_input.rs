@@ -199,6 +199,17 @@ fn ports_half_simulated_and_half_real() {
 }
 
 #[test]
+fn an_axis_slower_than_any_stage() {
+    for (key, is, most) in [("speed_deg_per_s", "20.0", 1000), ("acceleration_deg_per_s2", "40.0", 100_000)] {
+        for slow in ["1e-15", "1e-10", "0.0009"] {
+            let words = [format!("holder.tilt.{key}"), format!("must be from 0.001 to {most}")];
+            let (from, to) = (format!("{key} = {is}"), format!("{key} = {slow}"));
+            instrument_is_refused(&[(&from, &to)], "instrument.sim.toml", &words.each_ref().map(String::as_str));
+        }
+    }
+}
+
+#[test]
 fn a_driver_that_does_not_exist() {
     let words = ["`camera.ccd.driver` is \"superccd\"", "known are", "`sim-ccd`"];
     instrument_is_refused(&[("\"sim-ccd\"", "\"superccd\"")], "instrument.sim.toml", &words);

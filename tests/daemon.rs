@@ -208,12 +208,58 @@ fn ended_by_sigterm_the_run_is_stopped_well_and_gone_on_with() {
 }
 
 /// The terminal it was started from is closed.
+/// What is asked while an entry is being begun holds: either it goes to the run, or no run begins.
 #[test]
-fn a_hangup_ends_it_as_well_as_sigterm_does() {
+fn what_is_asked_while_an_entry_begins_is_heeded() {
     let lab = quick_lab(false);
     let daemon = Daemon::start(&lab);
-    daemon.signal("HUP");
-    assert_eq!(daemon.wait(), Some(0));
+    let scan = text(&lab.scan("long.toml", &scan_text("long", true)));
+    let run = |d: &Daemon| d.json("GET", "/v1/status", "")["run"].clone();
+    let body = serde_json::json!({ "scan": scan }).to_string();
+    for (verb, ms) in [("stop", 0), ("pause", 10), ("safe", 20), ("stop", 40), ("safe", 60)] {
+        let added = daemon.json("POST", "/v1/queue", &body);
+        std::thread::sleep(std::time::Duration::from_millis(ms));
+        let answer = daemon.json("POST", &format!("/v1/verbs/{verb}"), "");
+        let to_run = !answer["run"].is_null();
+        std::thread::sleep(std::time::Duration::from_millis(700));
+        let now = run(&daemon);
+        if to_run {
+            daemon.client(&["abort"]);
+        } else {
+            assert!(now.is_null(), "{verb} after {ms} ms was answered {answer}, and yet {now} is under way");
+        }
+        daemon.until("no run is under way", || run(&daemon).is_null());
+        assert!(daemon.json("GET", "/v1/queue", "")["held"].is_string(), "{verb}");
+        let id = added["entry"]["id"].as_u64().unwrap();
+        // Taken out, unless its run had begun already.
+        let (status, _) = http(&daemon.socket, "DELETE", &format!("/v1/queue/{id}"), "");
+        assert!(status == 200 || status == 409, "{status}");
+        daemon.json("POST", "/v1/verbs/resume", "");
+        if status == 409 {
+            daemon.until("it goes on or was ended", || {
+                let state = states(&daemon).into_iter().find(|(n, _)| *n == id).unwrap().1;
+                state != "running" || !run(&daemon).is_null()
+            });
+            if !run(&daemon).is_null() {
+                daemon.client(&["abort"]);
+                daemon.until("it is ended", || run(&daemon).is_null());
+                daemon.json("POST", "/v1/verbs/resume", "");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_hangup_ends_it_as_well_as_sigterm_does() {
+    for name in ["HUP", "USR1", "XCPU", "PWR"] {
+        let lab = quick_lab(false);
+        let daemon = Daemon::start(&lab);
+        // A limit of a file's size is no end: a write fails.
+        daemon.signal("XFSZ");
+        daemon.json("GET", "/v1/status", "");
+        daemon.signal(name);
+        assert_eq!(daemon.wait(), Some(0), "{name}");
+    }
 }
 
 #[test]

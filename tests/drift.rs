@@ -160,6 +160,28 @@ fn a_lamp_that_drifts_gives_the_same_bsdf_and_without_the_monitor_would_not() {
     assert!(missed && worst_without > 0.6 * DRIFT, "{worst_without}: the drift was there");
 }
 
+/// Where nothing watches the lamp the exposures of a bracket still tell that it changed between them.
+#[test]
+fn a_lamp_that_jumps_in_mid_bracket_shows_in_the_exposures_and_widens_the_uncertainty() {
+    let reduced = |over: &Over| {
+        is_whole(over);
+        reduce(&Run::open(&over.path).unwrap()).unwrap()
+    };
+    let told = |notes: &[String]| notes.iter().filter(|n| n.contains("the light changed meanwhile")).count();
+    let steady = reduced(&night(lab(false), async |_, _| ()));
+    assert_eq!(told(&steady.facts.notes), 0, "{:?}", steady.facts.notes);
+    let jumped = reduced(&night(lab(false), async |twins, span| {
+        tokio::time::sleep(span.mul_f64(0.44)).await;
+        twins.inject(Fault::Lamp(LampFault::Jump(-0.18)));
+    }));
+    assert_eq!(told(&jumped.facts.notes), 1, "{:?}", jumped.facts.notes);
+    let wider =
+        |(a, b): (&Column, &Column)| b.hemispherical_u / b.hemispherical > 1.5 * a.hemispherical_u / a.hemispherical;
+    let columns = steady.set.columns.iter().zip(&jumped.set.columns);
+    let (n, all) = (columns.clone().filter(|pair| wider(*pair)).count(), columns.count());
+    assert!(n > 0 && n < all, "{n} of {all} columns are less certain");
+}
+
 #[test]
 fn a_bracket_during_which_the_lamp_jumped_is_taken_again() {
     let over = night(lab(true), async |twins, span| {

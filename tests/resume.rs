@@ -187,7 +187,8 @@ fn a_run_is_not_gone_on_with_by_another_instrument_or_calibration_and_each_diffe
     fs::write(&calibration, good).unwrap();
     fs::write(Path::new(&run).join("plan.toml"), "broken").unwrap();
     let said = lab.goniod(&["resume", &run, "--instrument", &instrument]);
-    assert_eq!(said.code, 6, "{}{}", said.out, said.err);
+    assert_eq!(said.code, 8, "{}{}", said.out, said.err);
+    assert!(said.err.contains("plan.toml was changed") && said.err.lines().count() == 1, "{}", said.err);
 }
 
 /// Calibrations and spectra may lie anywhere: a run is gone on with wherever its instrument file names them.

@@ -167,6 +167,17 @@ pub(super) fn write_on(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> Result<()>
     write_parts(disk, path, bytes).map_err(|e| ArchiveError::io("write", path, &e))
 }
 
+/// The bytes of a file; `None` where there is none.
+///
+/// # Errors
+/// The disk's kinds for a file that is there and cannot be read.
+pub(super) fn read_where_there(path: &Path) -> Result<Option<Vec<u8>>> {
+    match fs::read(path) {
+        Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(None),
+        read => read.map(Some).map_err(|e| ArchiveError::io("read", path, &e)),
+    }
+}
+
 /// Gives the finished file `temporary` of another writer its name `path`, durably. On failure it is removed.
 ///
 /// # Errors

@@ -145,13 +145,18 @@ impl ArchiveError {
         ArchiveError::Damaged { path: path.to_path_buf(), message: message.into(), advice }
     }
 
-    /// The error of a journal operation.
+    /// The error of a journal operation. A file or folder that refuses this user is no damage.
     pub fn sql(path: &Path, source: &rusqlite::Error) -> ArchiveError {
-        let path = path.to_path_buf();
+        use rusqlite::ErrorCode::{CannotOpen, DiskFull, PermissionDenied, ReadOnly, SystemIoFailure};
+        let (path, message) = (path.to_path_buf(), source.to_string());
         match source.sqlite_error_code() {
-            Some(rusqlite::ErrorCode::DiskFull) => ArchiveError::Full { path },
-            Some(rusqlite::ErrorCode::SystemIoFailure) => ArchiveError::Failing { path, message: source.to_string() },
-            _ => ArchiveError::Journal { path, message: source.to_string() },
+            Some(DiskFull) => ArchiveError::Full { path },
+            Some(SystemIoFailure) => ArchiveError::Failing { path, message },
+            Some(CannotOpen | PermissionDenied | ReadOnly) => {
+                let what = "open the journal, whose folder must be writable as long as the run is not closed";
+                ArchiveError::Io { what, path, message }
+            }
+            _ => ArchiveError::Journal { path, message },
         }
     }
 
@@ -174,5 +179,20 @@ mod tests {
         assert!(matches!(of(EIO), ArchiveError::Failing { .. }));
         assert!(matches!(of(30), ArchiveError::Failing { .. }), "EROFS");
         assert!(matches!(of(13), ArchiveError::Io { .. }), "EACCES");
+    }
+
+    #[test]
+    fn a_journal_that_refuses_this_user_is_not_damaged() {
+        use rusqlite::ffi;
+        let at = Path::new("journal.sqlite");
+        let of = |code| ArchiveError::sql(at, &rusqlite::Error::SqliteFailure(ffi::Error::new(code), None));
+        for code in [ffi::SQLITE_CANTOPEN, ffi::SQLITE_PERM, ffi::SQLITE_READONLY] {
+            let error = of(code);
+            assert!(matches!(error, ArchiveError::Io { .. }), "{error}");
+            assert!(error.to_string().contains("must be writable") && error.to_string().contains("rights"), "{error}");
+        }
+        for code in [ffi::SQLITE_CORRUPT, ffi::SQLITE_NOTADB] {
+            assert!(matches!(of(code), ArchiveError::Journal { .. }), "{code}");
+        }
     }
 }

@@ -13,6 +13,7 @@ use crate::digest::TextDigest;
 use rusqlite::config::DbConfig;
 use rusqlite::{Connection, OpenFlags, Params, Row, Transaction, params};
 use std::fmt::Write;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -52,6 +53,8 @@ pub struct Journal {
     disk: Arc<dyn Disk>,
     ballast: Ballast,
     marks: Marks,
+    /// Device and inode of the file as it was opened.
+    opened: Option<(u64, u64)>,
     /// Length of the log at which it is folded into the file.
     fold_at: u64,
     /// A commit met a failing disk; what it wrote is unknown, so nothing more is written through this connection.
@@ -340,12 +343,25 @@ impl Journal {
         Ok(found.into_iter().filter(|line| line != "ok").collect())
     }
 
-    /// Brings everything into the one file and closes it; no side file stays.
+    /// The journal that is open lies where it was opened: else rows and marks would go to files that nobody finds.
     ///
     /// # Errors
-    /// [`ArchiveError::Journal`] and the disk's kinds.
+    /// [`ArchiveError::Moved`].
+    pub fn still_there(&self) -> Result<()> {
+        if self.opened.is_some() && self.opened == identity(&self.path) {
+            return Ok(());
+        }
+        Err(ArchiveError::Moved { path: self.path.parent().unwrap_or(Path::new("")).to_path_buf() })
+    }
+
+    /// Brings everything into the one file and closes it; no side file stays. A journal that was moved is only let go, as
+    /// a killed process lets it go: it can be gone on with once it is put back.
+    ///
+    /// # Errors
+    /// [`ArchiveError::Moved`], [`ArchiveError::Journal`] and the disk's kinds.
     pub fn close(mut self) -> Result<()> {
         self.must_work()?;
+        self.still_there()?;
         self.marks.remove()?;
         let checkpoint = self.db.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |row| row.get::<_, i64>(0));
         checkpoint.map_err(|e| self.error(&e))?;
@@ -380,7 +396,8 @@ impl Journal {
     fn on(db: Connection, path: &Path, disk: Arc<dyn Disk>) -> Journal {
         let run = path.parent().unwrap_or(Path::new(""));
         let (ballast, marks) = (Ballast::of(run, Arc::clone(&disk)), Marks::of(path, Arc::clone(&disk)));
-        Journal { db, path: path.to_path_buf(), disk, ballast, marks, fold_at: FOLD_BYTES, failed: None }
+        let opened = identity(path);
+        Journal { db, path: path.to_path_buf(), disk, ballast, marks, opened, fold_at: FOLD_BYTES, failed: None }
     }
 
     /// One transaction, all or nothing. A full disk is tried once more with the ballast's room; a failing one ends the
@@ -402,7 +419,7 @@ impl Journal {
     /// Brings the log into the file and marks the file. Where that fails, the log stays and goes on growing: no commit
     /// depends on it, and a disk that is ill is told by the next commit.
     fn fold(&mut self) {
-        if self.marks.lift().is_ok() {
+        if self.still_there().is_ok() && self.marks.lift().is_ok() {
             // Busy readers leave part of the log; it is as good as before.
             let _ = self.db.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |row| row.get::<_, i64>(0));
             if let Err(e) = self.mark_file() {
@@ -463,7 +480,18 @@ impl Journal {
 
 fn connect(path: &Path) -> Result<Connection> {
     let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-    Connection::open_with_flags(path, flags).map_err(|e| ArchiveError::sql(path, &e))
+    let open = || -> rusqlite::Result<Connection> {
+        let db = Connection::open_with_flags(path, flags)?;
+        // First of all: a connection that is let go early must leave the file as it is.
+        db.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)?;
+        Ok(db)
+    };
+    open().map_err(|e| ArchiveError::sql(path, &e))
+}
+
+/// Device and inode of a file.
+fn identity(path: &Path) -> Option<(u64, u64)> {
+    std::fs::metadata(path).ok().map(|meta| (meta.dev(), meta.ino()))
 }
 
 fn set_state(tx: &Transaction<'_>, step: u32, state: &str, reason: &str) -> rusqlite::Result<()> {

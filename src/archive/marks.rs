@@ -6,12 +6,12 @@
 //! journal is closed; the seal covers it then. `journal.sqlite-shm` is memory that processes share, no record: whoever
 //! opens the journal after the last process has gone builds it anew.
 
-use super::disk::{Disk, write_on};
+use super::disk::{Disk, read_where_there, write_on};
 use super::error::{ArchiveError, Result};
 use super::wal::{HEADER, Walk};
 use crate::digest::{sha256_hex, sha256_of_file};
 use std::fs::{self, File};
-use std::io::{ErrorKind, Read, Seek, SeekFrom};
+use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -19,6 +19,8 @@ use std::sync::Arc;
 const BASE: &str = "journal.base";
 /// How far the journal's log is committed.
 const HEAD: &str = "journal.head";
+/// A log that was not this journal's, set aside.
+const FOREIGN: &str = "journal.sqlite-wal.foreign";
 /// Length of a head.
 const HEAD_BYTES: usize = 68;
 /// Looks that a check takes beside a writer that folds its log.
@@ -125,12 +127,21 @@ impl Marks {
     }
 }
 
-/// Takes the mark of the log's end away, durably: as much of the log counts from now on as is whole.
+/// Takes the mark of the log's end away, durably: as much of the log counts from now on as is whole. Of a log that is not
+/// this journal's nothing is: SQLite would read its rows all the same, so it is set aside first.
 ///
 /// # Errors
 /// The disk's kinds.
 pub(super) fn accept_end(journal: &Path, disk: &dyn Disk) -> Result<()> {
-    let head = journal.with_file_name(HEAD);
+    let (head, log) = (journal.with_file_name(HEAD), log_of(journal));
+    let told = read_where_there(&head)?.filter(|bytes| is_own(bytes));
+    let own = told.and_then(|bytes| claim(&bytes)).map(|(salts, _)| salts);
+    let found = read_where_there(&log)?.and_then(|bytes| Walk::through(&bytes)).map(|walk| walk.salts());
+    if own.is_some() && found.is_some() && own != found {
+        let aside = disk.rename(&log, &journal.with_file_name(FOREIGN));
+        let aside = aside.and_then(|()| disk.sync_folder(journal.parent().unwrap_or(Path::new(""))));
+        aside.map_err(|e| ArchiveError::io("set aside", &log, &e))?;
+    }
     let gone = disk.discard(&head).and_then(|()| disk.sync_folder(journal.parent().unwrap_or(Path::new(""))));
     gone.map_err(|e| ArchiveError::io("remove", &head, &e))
 }
@@ -140,10 +151,7 @@ pub(super) fn accept_end(journal: &Path, disk: &dyn Disk) -> Result<()> {
 /// # Errors
 /// [`ArchiveError::Io`] and the disk's kinds for a file that cannot be read.
 pub(super) fn check(journal: &Path) -> Result<Vec<Damage>> {
-    let read = |path: PathBuf| match fs::read(&path) {
-        Err(e) if e.kind() == ErrorKind::NotFound => Ok(None),
-        read => read.map(Some).map_err(|e| ArchiveError::io("read", &path, &e)),
-    };
+    let read = |path: PathBuf| read_where_there(&path);
     for _ in 0..LOOKS {
         // The head before the log: what it tells is in the log by then.
         let base = read(journal.with_file_name(BASE))?;
@@ -156,6 +164,14 @@ pub(super) fn check(journal: &Path) -> Result<Vec<Damage>> {
         }
     }
     Ok(Vec::new())
+}
+
+/// The sentences for an open journal whose marks are gone: a cut while a mark is set leaves it so.
+pub(super) fn nothing_to_prove_by(journal: &Path) -> Vec<String> {
+    let gone = |name: &&str| !journal.with_file_name(name).exists();
+    let words = [(BASE, "a change of the journal's file"), (HEAD, "a lost end of its log")];
+    let words = words.iter().filter(|(name, _)| gone(name));
+    words.map(|(name, what)| format!("the journal is open and has no {name}; {what} stays unfound")).collect()
 }
 
 fn judge(seen: &Seen) -> Vec<Damage> {

@@ -39,7 +39,8 @@ pub fn resume_mended(path: &Path, told: impl Fn(u32, u64) -> EventRow) -> Result
     Ok((run, mended))
 }
 
-/// What of the findings can be made good; products are made anew anyway, foreign files harm nobody.
+/// What of the findings can be made good; products are made anew anyway, foreign files harm nobody, but a folder in the
+/// place of a frame would stop the run there.
 fn sort(path: &Path, findings: Vec<Finding>) -> Result<Mended> {
     let (mut mended, mut beyond) = (Mended::default(), Vec::new());
     for finding in findings {
@@ -49,6 +50,11 @@ fn sort(path: &Path, findings: Vec<Finding>) -> Result<Mended> {
             }
             Finding::FileChanged(name) | Finding::FileMissing(name) if name.starts_with(FRAMES) => {
                 mended.files.push(name);
+            }
+            Finding::ChunkWithoutRow(name) if path.join(&name).is_dir() => {
+                let message = "a folder lies in the place of a frame".to_owned();
+                let advice = "move it away or remove it, then go on with `goniod resume`";
+                return Err(ArchiveError::Damaged { path: path.join(name), message, advice });
             }
             Finding::ChunkWithoutRow(_) | Finding::ProductChanged(_) | Finding::ProductMissing(_) => {}
             Finding::FileChanged(name) if name == BALLAST => {}

@@ -12,7 +12,6 @@ use super::verify::journal_must_be_sound;
 use crate::digest::{sha256_hex, sha256_of_file};
 use goniod_drivers::frame::Pixels;
 use std::fs;
-use std::os::unix::fs::MetadataExt;
 use std::path::{Component, Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -41,8 +40,6 @@ pub struct RunDir {
     journal: Mutex<Option<Journal>>,
     disk: Arc<dyn Disk>,
     writable: bool,
-    /// The journal's file as it was opened.
-    opened: Option<(u64, u64)>,
 }
 
 // === impl RunDir ===
@@ -158,7 +155,7 @@ impl RunDir {
         event: impl FnOnce(&Stored) -> EventRow,
     ) -> Result<FrameRow> {
         let (camera, array_index, exposure_index) = place;
-        self.still_there()?;
+        self.with(|journal| journal.still_there())?;
         let put = self.store.put_frame(camera, array_index, exposure_index, pixels);
         if put.as_ref().is_err_and(ArchiveError::is_full) {
             // What is told of the end needs room now.
@@ -191,12 +188,13 @@ impl RunDir {
     /// Closes the journal into its one file and seals it with digests. A run opened to read is only let go.
     ///
     /// # Errors
-    /// [`ArchiveError::Closed`] the second time, [`ArchiveError::Journal`] and the disk's kinds.
+    /// [`ArchiveError::Closed`] the second time, [`ArchiveError::Moved`], [`ArchiveError::Journal`] and the disk's kinds.
     pub fn close(&self) -> Result<()> {
         let journal = self.lock().take().ok_or_else(|| ArchiveError::Closed { path: self.path.clone() })?;
         if !self.writable {
             return Ok(());
         }
+        journal.still_there()?;
         self.ballast().release();
         let rows = journal.row_digest()?;
         journal.close()?;
@@ -216,14 +214,6 @@ impl RunDir {
     /// Writes one of the run's own small files again, as it was.
     pub(super) fn put_back(&self, name: &Path, bytes: &[u8]) -> Result<()> {
         write_on(&*self.disk, &self.path.join(name), bytes)
-    }
-
-    /// The journal that is open lies where it was opened: else rows would go to a file that nobody finds.
-    fn still_there(&self) -> Result<()> {
-        if self.opened.is_some() && self.opened == identity(&self.path) {
-            return Ok(());
-        }
-        Err(ArchiveError::Moved { path: self.path.clone() })
     }
 
     fn to_write(path: &Path, disk: Arc<dyn Disk>) -> Result<RunDir> {
@@ -251,19 +241,13 @@ impl RunDir {
 
     fn with_journal(path: &Path, journal: Journal, disk: Arc<dyn Disk>, writable: bool) -> Result<RunDir> {
         let store = FrameStore::new(path, &journal.arrays()?, Arc::clone(&disk))?;
-        let opened = identity(path);
-        Ok(RunDir { path: path.to_path_buf(), store, journal: Mutex::new(Some(journal)), disk, writable, opened })
+        Ok(RunDir { path: path.to_path_buf(), store, journal: Mutex::new(Some(journal)), disk, writable })
     }
 
     fn lock(&self) -> MutexGuard<'_, Option<Journal>> {
         // A thread that panicked has rolled its transaction back; the journal itself is sound.
         self.journal.lock().unwrap_or_else(PoisonError::into_inner)
     }
-}
-
-/// Device and inode of the journal in a run's folder.
-fn identity(path: &Path) -> Option<(u64, u64)> {
-    fs::metadata(path.join(JOURNAL)).ok().map(|meta| (meta.dev(), meta.ino()))
 }
 
 fn journal_of(path: &Path) -> Result<PathBuf> {

@@ -1,12 +1,14 @@
 //! Seals: digests over what is finished, so that any changed bit shows. `journal.seal` covers the closed journal,
 //! `products/products.seal` every product; each line of a seal is itself covered.
 
-use super::disk::{Disk, RealDisk, write_on};
+use super::disk::{Disk, RealDisk, read_where_there, write_on};
 use super::error::{ArchiveError, Result};
-use crate::digest::sha256_hex;
+use super::rows::FrameRow;
+use crate::digest::{TextDigest, sha256_hex};
 use std::collections::BTreeMap;
+use std::fmt::Write;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 /// Digests over the closed journal.
 pub const SEAL: &str = "journal.seal";
@@ -15,6 +17,8 @@ pub const PRODUCTS: &str = "products";
 /// Digests over the products, inside their folder.
 pub const PRODUCTS_SEAL: &str = "products.seal";
 
+/// Line that tells the frames which the products were made from.
+const FROM: &str = "frames";
 /// Line that covers the lines above it.
 const LAST: &str = "seal";
 
@@ -27,6 +31,91 @@ pub(super) enum ProductFault {
     Changed(String),
     /// Gone.
     Missing(String),
+    /// There is no seal: a cut while products are made leaves them so.
+    NoSeal,
+    /// The run has other frames now than the products were made from.
+    OtherFrames,
+}
+
+/// The seal of a run's products, taken off while they are made: what a cut then leaves is unproven, not damaged.
+#[derive(Debug)]
+pub struct ProductSeal {
+    folder: PathBuf,
+    sealed: Sealed,
+}
+
+/// What the seal of the products tells.
+#[derive(Debug, Default)]
+struct Sealed {
+    /// Digest of each product by its name.
+    entries: BTreeMap<String, String>,
+    /// Digest of the frames they were made from; the first seals did not tell it.
+    frames: Option<String>,
+}
+
+// === impl ProductSeal ===
+
+impl ProductSeal {
+    /// Takes the seal off the products of the run directory `run`, durably, before one of them is made from `frames`
+    /// (their [`frames_digest`]). What was made from the same frames before stays sealed; what was made from other frames,
+    /// and was not touched since, is removed: it would contradict what is made now.
+    ///
+    /// # Errors
+    /// [`ArchiveError::Io`] and the disk's kinds.
+    pub fn lift(run: &Path, frames: String) -> Result<ProductSeal> {
+        let folder = run.join(PRODUCTS);
+        let path = folder.join(PRODUCTS_SEAL);
+        let mut earlier = Sealed::default();
+        if let Some(bytes) = read_where_there(&path)? {
+            earlier = Sealed::read(bytes).unwrap_or_default();
+            let gone = RealDisk.discard(&path).and_then(|()| RealDisk.sync_folder(&folder));
+            gone.map_err(|e| ArchiveError::io("remove", &path, &e))?;
+        }
+        let mut entries = BTreeMap::new();
+        if earlier.frames.as_ref() == Some(&frames) {
+            entries = earlier.entries;
+            entries.retain(|name, _| folder.join(name).is_file());
+        } else if earlier.frames.is_some() {
+            remove_untouched(&folder, &earlier.entries)?;
+        }
+        Ok(ProductSeal { folder, sealed: Sealed { entries, frames: Some(frames) } })
+    }
+
+    /// Puts the seal on again, over the products `written` (full paths) too.
+    ///
+    /// # Errors
+    /// [`ArchiveError::Io`] and the disk's kinds.
+    pub fn set(mut self, written: &[PathBuf]) -> Result<()> {
+        for file in written {
+            let bytes = fs::read(file).map_err(|e| ArchiveError::io("read", file, &e))?;
+            self.sealed.entries.insert(name_in(&self.folder, file), sha256_hex(&bytes));
+        }
+        write_on(&RealDisk as &dyn Disk, &self.folder.join(PRODUCTS_SEAL), self.sealed.text().as_bytes())
+    }
+}
+
+// === impl Sealed ===
+
+impl Sealed {
+    fn text(&self) -> String {
+        let mut lines: String = self.entries.iter().map(|(name, digest)| format!("{digest} {name}\n")).collect();
+        if let Some(frames) = &self.frames {
+            lines += &format!("{frames} {FROM}\n");
+        }
+        let last = sha256_hex(lines.as_bytes());
+        format!("{lines}{last} {LAST}\n")
+    }
+
+    /// `None` where the bytes are not what was written.
+    fn read(bytes: Vec<u8>) -> Option<Sealed> {
+        let text = String::from_utf8(bytes).ok()?;
+        let mut lines: Vec<(&str, &str)> = text.lines().map(|line| line.split_once(' ')).collect::<Option<_>>()?;
+        let (_, LAST) = lines.pop()? else { return None };
+        let frames = lines.pop_if(|(_, name)| *name == FROM).map(|(digest, _)| digest.to_owned());
+        let entries = lines.into_iter().map(|(digest, name)| (name.to_owned(), digest.to_owned())).collect();
+        let sealed = Sealed { entries, frames };
+        (sealed.text() == text).then_some(sealed)
+    }
 }
 
 /// The text of the journal's seal: digest of the journal file, digest of its rows.
@@ -34,51 +123,56 @@ pub(super) fn journal_seal(file: &str, rows: &str) -> String {
     format!("journal.sqlite sha256 {file}\nrows sha256 {rows}\n")
 }
 
-/// Takes `written` products (full paths) into the seal of the run directory `run`; earlier ones stay in it.
+/// SHA-256 over the frames that products are made from: which step has which. In the order of their steps.
+pub fn frames_digest<'a>(frames: impl Iterator<Item = &'a FrameRow>) -> String {
+    let mut text = TextDigest::default();
+    for frame in frames {
+        // Writing to a digest cannot fail.
+        let _ = writeln!(text, "{} {}", frame.step, frame.digest);
+    }
+    text.hex()
+}
+
+/// Compares the products of `run` with their seal and with the run's frames, of which `frames` is the digest.
 ///
 /// # Errors
-/// [`ArchiveError::Io`] and the disk's kinds.
-pub fn seal_products(run: &Path, written: &[PathBuf]) -> Result<()> {
+/// [`ArchiveError::Io`] and the disk's kinds for what is there and cannot be read.
+pub(super) fn check_products(run: &Path, frames: &str) -> Result<Vec<ProductFault>> {
     let folder = run.join(PRODUCTS);
-    let path = folder.join(PRODUCTS_SEAL);
-    let mut entries = fs::read_to_string(&path).ok().and_then(|text| parse(&text)).unwrap_or_default();
-    entries.retain(|name, _| folder.join(name).is_file());
-    for file in written {
-        let bytes = fs::read(file).map_err(|e| ArchiveError::io("read", file, &e))?;
-        let parts = file.strip_prefix(&folder).unwrap_or(file).components();
-        let name: Vec<_> = parts.map(|c| c.as_os_str().to_string_lossy().into_owned()).collect();
-        entries.insert(name.join("/"), sha256_hex(&bytes));
+    let Some(bytes) = read_where_there(&folder.join(PRODUCTS_SEAL))? else {
+        return Ok(if folder.exists() { vec![ProductFault::NoSeal] } else { Vec::new() });
+    };
+    let Some(sealed) = Sealed::read(bytes) else { return Ok(vec![ProductFault::Seal]) };
+    let (mut faults, shown) = (Vec::new(), |name: &String| format!("{PRODUCTS}/{name}"));
+    for (name, digest) in &sealed.entries {
+        match read_where_there(&folder.join(name))? {
+            Some(bytes) if sha256_hex(&bytes) == *digest => {}
+            Some(_) => faults.push(ProductFault::Changed(shown(name))),
+            None => faults.push(ProductFault::Missing(shown(name))),
+        }
     }
-    write_on(&RealDisk as &dyn Disk, &path, text(&entries).as_bytes())
+    if sealed.frames.as_deref().is_some_and(|made_from| made_from != frames) {
+        faults.push(ProductFault::OtherFrames);
+    }
+    Ok(faults)
 }
 
-/// Compares the products of `run` with their seal; `None` when there is no seal.
-pub(super) fn check_products(run: &Path) -> Option<Vec<ProductFault>> {
-    let folder = run.join(PRODUCTS);
-    let bytes = fs::read(folder.join(PRODUCTS_SEAL)).ok()?;
-    let Some(entries) = String::from_utf8(bytes).ok().and_then(|text| parse(&text)) else {
-        return Some(vec![ProductFault::Seal]);
-    };
-    let fault = |(name, digest): (&String, &String)| match fs::read(folder.join(name)) {
-        Ok(bytes) if sha256_hex(&bytes) == *digest => None,
-        Ok(_) => Some(ProductFault::Changed(format!("{PRODUCTS}/{name}"))),
-        Err(_) => Some(ProductFault::Missing(format!("{PRODUCTS}/{name}"))),
-    };
-    Some(entries.iter().filter_map(fault).collect())
+/// Removes products that still have the bytes that their seal told.
+fn remove_untouched(folder: &Path, entries: &BTreeMap<String, String>) -> Result<()> {
+    let ours = |name: &str| Path::new(name).components().all(|c| matches!(c, Component::Normal(_)));
+    for (name, digest) in entries.iter().filter(|(name, _)| ours(name)) {
+        let path = folder.join(name);
+        if read_where_there(&path)?.is_some_and(|bytes| sha256_hex(&bytes) == *digest) {
+            RealDisk.discard(&path).map_err(|e| ArchiveError::io("remove", &path, &e))?;
+        }
+    }
+    Ok(())
 }
 
-fn text(entries: &BTreeMap<String, String>) -> String {
-    let lines: String = entries.iter().map(|(name, digest)| format!("{digest} {name}\n")).collect();
-    let last = sha256_hex(lines.as_bytes());
-    format!("{lines}{last} {LAST}\n")
-}
-
-/// Digests by name; `None` where the text is not what was written.
-fn parse(sealed: &str) -> Option<BTreeMap<String, String>> {
-    let lines: Vec<(&str, &str)> = sealed.lines().map(|line| line.split_once(' ')).collect::<Option<_>>()?;
-    let ((_, LAST), entries) = lines.split_last()? else { return None };
-    let entries = entries.iter().map(|(digest, name)| ((*name).to_owned(), (*digest).to_owned())).collect();
-    (text(&entries) == sealed).then_some(entries)
+/// The name of a file below `folder`, with `/`.
+fn name_in(folder: &Path, file: &Path) -> String {
+    let parts = file.strip_prefix(folder).unwrap_or(file).components();
+    parts.map(|c| c.as_os_str().to_string_lossy().into_owned()).collect::<Vec<_>>().join("/")
 }
 
 #[cfg(test)]
@@ -86,28 +180,67 @@ mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
 
-    #[test]
-    fn products_stay_sealed_and_every_bit_of_them_and_of_the_seal_counts() {
-        let run = tempfile::tempdir().unwrap();
-        let (one, two) = (run.path().join("products/a.xml"), run.path().join("products/plots/b c.png"));
+    fn seal(run: &Path, frames: &str, written: &[PathBuf]) {
+        ProductSeal::lift(run, frames.to_owned()).unwrap().set(written).unwrap();
+    }
+
+    fn two_products(run: &Path) -> (PathBuf, PathBuf) {
+        let (one, two) = (run.join("products/a.xml"), run.join("products/plots/b c.png"));
         fs::create_dir_all(two.parent().unwrap()).unwrap();
         fs::write(&one, b"one").unwrap();
         fs::write(&two, b"two").unwrap();
-        assert_eq!(check_products(run.path()), None);
-        seal_products(run.path(), std::slice::from_ref(&one)).unwrap();
-        seal_products(run.path(), std::slice::from_ref(&two)).unwrap();
-        assert_eq!(check_products(run.path()), Some(vec![]));
+        (one, two)
+    }
+
+    #[test]
+    fn products_stay_sealed_and_every_bit_of_them_and_of_the_seal_counts() {
+        let run = tempfile::tempdir().unwrap();
+        let check = || check_products(run.path(), "f").unwrap();
+        assert!(check().is_empty());
+        let (one, two) = two_products(run.path());
+        assert_eq!(check(), [ProductFault::NoSeal]);
+        seal(run.path(), "f", std::slice::from_ref(&one));
+        seal(run.path(), "f", std::slice::from_ref(&two));
+        assert!(check().is_empty());
         for file in [&one, &two, &run.path().join("products").join(PRODUCTS_SEAL)] {
             let good = fs::read(file).unwrap();
             for bit in 0..good.len() * 8 {
                 let mut bad = good.clone();
                 bad[bit / 8] ^= 1 << (bit % 8);
                 fs::write(file, bad).unwrap();
-                assert!(!check_products(run.path()).unwrap().is_empty(), "{} bit {bit}", file.display());
+                assert!(!check().is_empty(), "{} bit {bit}", file.display());
             }
             fs::write(file, good).unwrap();
         }
         fs::remove_file(&one).unwrap();
-        assert_eq!(check_products(run.path()), Some(vec![ProductFault::Missing("products/a.xml".to_owned())]));
+        assert_eq!(check(), [ProductFault::Missing("products/a.xml".to_owned())]);
+    }
+
+    #[test]
+    fn products_of_other_frames_and_products_half_made_are_told() {
+        let run = tempfile::tempdir().unwrap();
+        let check = |frames| check_products(run.path(), frames).unwrap();
+        let (one, two) = two_products(run.path());
+        seal(run.path(), "few", &[one.clone(), two.clone()]);
+        assert_eq!((check("few"), check("all")), (vec![], vec![ProductFault::OtherFrames]));
+        // Cut while they are made again, one of them touched by somebody before.
+        fs::write(&two, b"touched").unwrap();
+        let lifted = ProductSeal::lift(run.path(), "all".to_owned()).unwrap();
+        assert!(!one.exists() && two.exists(), "only what is as it was made is removed");
+        fs::write(&one, b"another one").unwrap();
+        assert_eq!(check("all"), [ProductFault::NoSeal]);
+        lifted.set(std::slice::from_ref(&one)).unwrap();
+        assert!(check("all").is_empty() && two.exists());
+    }
+
+    #[test]
+    fn the_first_seals_which_tell_no_frames_are_read() {
+        let run = tempfile::tempdir().unwrap();
+        let (one, two) = two_products(run.path());
+        let entries = [(&one, "a.xml"), (&two, "plots/b c.png")];
+        let entries = entries.map(|(file, name)| (name.to_owned(), sha256_hex(&fs::read(file).unwrap())));
+        let first = Sealed { entries: entries.into(), frames: None };
+        fs::write(run.path().join("products").join(PRODUCTS_SEAL), first.text()).unwrap();
+        assert!(check_products(run.path(), "any").unwrap().is_empty());
     }
 }

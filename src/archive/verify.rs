@@ -1,13 +1,13 @@
 //! Proves a run whole: every file, chunk and row against the digests taken when it was written.
 
-use super::disk::{Disk, TEMPORARY_PREFIX};
+use super::disk::{Disk, TEMPORARY_PREFIX, read_where_there};
 use super::error::{ArchiveError, Result};
 use super::frames::FRAMES;
 use super::journal::Journal;
 use super::marks;
 use super::rows::{FileRow, FrameRow, StepRow, StepState, Summary};
 use super::rundir::{JOURNAL, RunDir};
-use super::seal::{PRODUCTS, PRODUCTS_SEAL, ProductFault, SEAL, check_products, journal_seal};
+use super::seal::{PRODUCTS, PRODUCTS_SEAL, ProductFault, SEAL, check_products, frames_digest, journal_seal};
 use super::space::{BALLAST, ballast_changed};
 use crate::digest::{sha256_hex, sha256_of_file};
 use serde::{Deserialize, Serialize};
@@ -60,6 +60,9 @@ pub struct Verification {
     pub sealed: bool,
     /// Unfinished writes of a run that was cut short; harmless.
     pub leftovers: Vec<String>,
+    /// What nothing is left to prove it by, as a cut may leave it, and products of other frames than the run has now; each
+    /// a sentence without its end.
+    pub unproven: Vec<String>,
 }
 
 // === impl Verification ===
@@ -70,10 +73,11 @@ impl Verification {
         self.findings.is_empty()
     }
 
-    /// Sound, closed, and every planned exposure is stored or listed as missing.
+    /// Sound, closed, proven, and every planned exposure is stored or listed as missing.
     pub fn whole(&self) -> bool {
         self.sound()
             && self.sealed
+            && self.unproven.is_empty()
             && self.summary.planned == 0
             && self.summary.stored + self.summary.missing == self.steps
     }
@@ -139,7 +143,7 @@ pub fn records_must_be_sound(path: &Path) -> Result<()> {
     journal_must_be_sound(path)?;
     let files = RunDir::open(path)?.with(|journal| journal.files())?;
     let not_frames: Vec<FileRow> = files.into_iter().filter(|file| !file.path.starts_with(FRAMES)).collect();
-    match changed(path, &not_frames).next() {
+    match changed(path, &not_frames)?.first() {
         Some(Finding::FileMissing(name)) => Err(ArchiveError::damaged(path, format!("{name} is gone"))),
         Some(Finding::FileChanged(name)) => Err(ArchiveError::damaged(path, format!("{name} was changed"))),
         _ => Ok(()),
@@ -147,12 +151,19 @@ pub fn records_must_be_sound(path: &Path) -> Result<()> {
 }
 
 /// Files of a run that are not as their rows tell.
-fn changed<'a>(path: &'a Path, files: &'a [FileRow]) -> impl Iterator<Item = Finding> + 'a {
-    files.iter().filter_map(move |file| match fs::read(path.join(&file.path)) {
-        Ok(bytes) if sha256_hex(&bytes) == file.digest => None,
-        Ok(_) => Some(Finding::FileChanged(file.path.clone())),
-        Err(_) => Some(Finding::FileMissing(file.path.clone())),
-    })
+///
+/// # Errors
+/// One that is there and cannot be read: nobody knows whether it is changed.
+fn changed(path: &Path, files: &[FileRow]) -> Result<Vec<Finding>> {
+    let mut found = Vec::new();
+    for file in files {
+        match read_where_there(&path.join(&file.path))? {
+            Some(bytes) if sha256_hex(&bytes) == file.digest => {}
+            Some(_) => found.push(Finding::FileChanged(file.path.clone())),
+            None => found.push(Finding::FileMissing(file.path.clone())),
+        }
+    }
+    Ok(found)
 }
 
 /// Where only the end of an open journal's log is damaged, lets as much count as is whole: the exposures whose rows are lost
@@ -188,15 +199,10 @@ fn check_journal(path: &Path, report: &mut Verification) -> Result<()> {
         false => Vec::new(),
     };
     let digest = sha256_of_file(&file).map_err(|e| ArchiveError::io("read", &file, &e))?;
-    let journal = match Journal::open_read_only(&file) {
-        Ok(journal) => journal,
-        Err(e) => {
-            report.findings.push(Finding::JournalDamaged(e.to_string()));
-            return Ok(());
-        }
-    };
+    let journal = Journal::open_read_only(&file)?;
     if !report.sealed {
         report.findings.extend(marks::check(&file)?.into_iter().map(|damage| Finding::JournalDamaged(damage.what)));
+        report.unproven.extend(marks::nothing_to_prove_by(&file));
     }
     let damage = journal.integrity()?;
     report.findings.extend(damage.into_iter().map(Finding::JournalDamaged));
@@ -215,25 +221,36 @@ fn check_run(path: &Path, report: &mut Verification) -> Result<()> {
     let (steps, frames, files, summary) = run.with(|j| Ok((j.steps()?, j.frames()?, j.files()?, j.summary()?)))?;
     report.summary = summary;
     report.steps = steps.len() as u32;
-    report.findings.extend(changed(path, &files));
+    report.findings.extend(changed(path, &files)?);
     let mut known: BTreeSet<PathBuf> =
         files.iter().map(|f| path.join(&f.path)).filter(|f| f.starts_with(path.join(FRAMES))).collect();
     let frames: BTreeMap<u32, FrameRow> = frames.into_iter().map(|f| (f.step, f)).collect();
     for step in &steps {
-        check_step(&run, step, frames.get(&step.layout.number), &mut known, report);
+        check_step(&run, step, frames.get(&step.layout.number), &mut known, report)?;
     }
     for step in frames.keys().filter(|n| !steps.iter().any(|s| s.layout.number == **n)) {
         report.findings.push(Finding::RowsDisagree(*step));
     }
     check_orphans(path, &path.join(FRAMES), &known, report)?;
-    for fault in check_products(path).unwrap_or_default() {
-        report.findings.push(match fault {
-            ProductFault::Seal => Finding::SealBroken(format!("{PRODUCTS}/{PRODUCTS_SEAL} was changed")),
-            ProductFault::Changed(name) => Finding::ProductChanged(name),
-            ProductFault::Missing(name) => Finding::ProductMissing(name),
-        });
+    for fault in check_products(path, &frames_digest(frames.values()))? {
+        tell_product(fault, report);
     }
     Ok(())
+}
+
+fn tell_product(fault: ProductFault, report: &mut Verification) {
+    let again = "`goniod reduce RUN` makes them again";
+    let unproven = match fault {
+        ProductFault::Seal => {
+            let what = format!("{PRODUCTS}/{PRODUCTS_SEAL} was changed");
+            return report.findings.push(Finding::SealBroken(what));
+        }
+        ProductFault::Changed(name) => return report.findings.push(Finding::ProductChanged(name)),
+        ProductFault::Missing(name) => return report.findings.push(Finding::ProductMissing(name)),
+        ProductFault::NoSeal => format!("{PRODUCTS} have no {PRODUCTS_SEAL}; {again}"),
+        ProductFault::OtherFrames => format!("the products were made from other frames; {again}"),
+    };
+    report.unproven.push(unproven);
 }
 
 fn check_step(
@@ -242,35 +259,48 @@ fn check_step(
     frame: Option<&FrameRow>,
     known: &mut BTreeSet<PathBuf>,
     report: &mut Verification,
-) {
+) -> Result<()> {
     let at = &step.layout;
+    let path = run.frames().chunk_path(&at.camera, at.array_index, at.exposure_index);
+    let there = fs::metadata(&path).ok();
+    let name = path.strip_prefix(run.path()).unwrap_or(&path).to_string_lossy().into_owned();
+    let foreign = there.as_ref().is_some_and(|meta| !meta.is_file());
+    if foreign {
+        // A folder: no frame could be written in its place.
+        report.findings.push(Finding::ChunkWithoutRow(name.clone()));
+    }
     let frame = match (&step.state, frame) {
         (StepState::Stored, Some(frame)) => frame,
-        (StepState::Stored, None) | (_, Some(_)) => return report.findings.push(Finding::RowsDisagree(at.number)),
+        (StepState::Stored, None) | (_, Some(_)) => {
+            report.findings.push(Finding::RowsDisagree(at.number));
+            return Ok(());
+        }
         (StepState::Planned, None) => {
             // Written when the run was cut short, before its row was: the step stays to be done and writes it anew.
-            let path = run.frames().chunk_path(&at.camera, at.array_index, at.exposure_index);
-            if path.exists() {
-                let name = path.strip_prefix(run.path()).unwrap_or(&path).to_string_lossy().into_owned();
+            if there.is_some() && !foreign {
                 report.leftovers.push(name);
                 known.insert(path);
             }
-            return;
+            return Ok(());
         }
-        (StepState::Missing(_), None) => return,
+        (StepState::Missing(_), None) => return Ok(()),
     };
-    let path = run.frames().chunk_path(&at.camera, at.array_index, at.exposure_index);
-    let length = fs::metadata(&path).map_or(frame.bytes, |meta| meta.len());
+    if foreign {
+        report.findings.push(Finding::ChunkMissing(at.number));
+        return Ok(());
+    }
+    let length = there.map_or(frame.bytes, |meta| meta.len());
     match run.frames().read_proven(&at.camera, at.array_index, at.exposure_index, &frame.digest) {
-        Ok(None) | Err(ArchiveError::Io { .. } | ArchiveError::Failing { .. }) => {
-            report.findings.push(Finding::ChunkMissing(at.number));
-        }
+        Ok(None) => report.findings.push(Finding::ChunkMissing(at.number)),
+        // It may be as good as ever, so it is not given up.
+        Err(e @ (ArchiveError::Io { .. } | ArchiveError::Failing { .. })) => return Err(e),
         Err(ArchiveError::Damaged { .. }) => report.findings.push(Finding::ChunkChanged(at.number)),
         Ok(Some(_)) if length != frame.bytes => report.findings.push(Finding::ChunkChanged(at.number)),
         Ok(Some(_)) => {}
         Err(_) => report.findings.push(Finding::ChunkUnreadable(at.number)),
     }
     known.insert(path);
+    Ok(())
 }
 
 fn check_orphans(run: &Path, folder: &Path, known: &BTreeSet<PathBuf>, report: &mut Verification) -> Result<()> {
@@ -300,6 +330,7 @@ fn check_orphans(run: &Path, folder: &Path, known: &BTreeSet<PathBuf>, report: &
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
+    use crate::archive::mend::resume_mended;
     use crate::archive::rows::EventRow;
     use crate::archive::{ArrayLayout, NewRun, RunLayout, StepLayout};
     use goniod_drivers::frame::{PixelFormat, Pixels};
@@ -445,13 +476,69 @@ mod tests {
         let files = [];
         let new = NewRun { run_id: "r", plan_toml: "", files: &files, layout: &layout() };
         let run = RunDir::create(runs.path(), &new).unwrap();
-        let store = || run.store(("ccd", 0, 0), &Pixels::U8(vec![1; 16]), row(0), |_| event(0));
-        fs::rename(run.path(), runs.path().join("elsewhere")).unwrap();
-        let stored = store();
-        assert!(matches!(stored, Err(ArchiveError::Moved { .. })), "{stored:?}");
-        assert!(!runs.path().join("r").exists());
-        fs::rename(runs.path().join("elsewhere"), run.path()).unwrap();
-        store().unwrap();
+        let (here, elsewhere) = (run.path().to_path_buf(), runs.path().join("elsewhere"));
+        let store = |run: &RunDir, step: u32| {
+            let (pixels, told) = (Pixels::U8(vec![1; 16]), event(u64::from(step)));
+            run.store(("ccd", 0, step), &pixels, row(step), |_| told).map(drop)
+        };
+        let moved = |end: Result<()>| {
+            assert!(matches!(end, Err(ArchiveError::Moved { .. })), "{end:?}");
+            assert!(!here.exists());
+            fs::rename(&elsewhere, &here).unwrap();
+        };
+        fs::rename(&here, &elsewhere).unwrap();
+        moved(store(&run, 0));
+        store(&run, 0).unwrap();
+        fs::rename(&here, &elsewhere).unwrap();
+        moved(run.close());
+        drop(run);
+        // Put back it is what a killed process leaves: sound, and gone on with.
+        let report = verify(&here).unwrap();
+        assert!(report.sound() && report.unproven.is_empty() && !report.sealed, "{report:?}");
+        assert_eq!((report.summary.stored, report.summary.planned), (1, 2));
+        let run = RunDir::resume(&here).unwrap();
+        store(&run, 1).and_then(|()| store(&run, 2)).and_then(|()| run.close()).unwrap();
+        assert!(verify(&here).unwrap().whole());
+    }
+
+    #[test]
+    fn what_is_there_and_cannot_be_read_is_neither_gone_nor_changed() {
+        let runs = tempfile::tempdir().unwrap();
+        let path = closed_run(runs.path());
+        for file in ["frames.zarr/ccd/c.0.0.0.0", "calibration/ccd.toml"] {
+            let (file, aside) = (path.join(file), runs.path().join("aside"));
+            fs::rename(&file, &aside).unwrap();
+            // A link to itself: an error of the file system that whoever runs this meets.
+            std::os::unix::fs::symlink(&file, &file).unwrap();
+            let refused = verify(&path);
+            assert!(matches!(refused, Err(ArchiveError::Io { .. })), "{refused:?}");
+            fs::rename(&aside, &file).unwrap();
+        }
+        assert!(verify(&path).unwrap().whole());
+    }
+
+    #[test]
+    fn a_folder_in_the_place_of_a_frame_is_found_and_named_before_the_run_goes_on() {
+        let runs = tempfile::tempdir().unwrap();
+        let new = NewRun { run_id: "r", plan_toml: "", files: &[], layout: &layout() };
+        let run = RunDir::create(runs.path(), &new).unwrap();
+        run.store(("ccd", 0, 0), &Pixels::U8(vec![9; 16]), row(0), |_| event(0)).unwrap();
+        let path = run.path().to_path_buf();
+        drop(run);
+        let (stored, planned) = ("frames.zarr/ccd/c.0.0.0.0", "frames.zarr/ccd/c.0.1.0.0");
+        let go_on = || resume_mended(&path, |_, seq| event(seq)).map(drop);
+        fs::create_dir(path.join(planned)).unwrap();
+        assert_eq!(verify(&path).unwrap().findings, [Finding::ChunkWithoutRow(planned.to_owned())]);
+        let told = go_on().unwrap_err().to_string();
+        assert!(told.contains(planned) && told.contains("remove it"), "{told}");
+        fs::remove_dir(path.join(planned)).unwrap();
+        fs::remove_file(path.join(stored)).unwrap();
+        fs::create_dir(path.join(stored)).unwrap();
+        let found = verify(&path).unwrap().findings;
+        assert_eq!(found, [Finding::ChunkWithoutRow(stored.to_owned()), Finding::ChunkMissing(0)]);
+        assert!(go_on().unwrap_err().to_string().contains(stored));
+        fs::remove_dir(path.join(stored)).unwrap();
+        go_on().unwrap();
     }
 
     #[test]

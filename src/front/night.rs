@@ -196,9 +196,10 @@ pub fn storage(e: ArchiveError) -> Failure {
     Failure::new(exit, e.to_string())
 }
 
-/// A stamp as a calendar time.
+/// A stamp as a calendar time; what lies beyond the calendar is its first or last moment.
 pub fn stamp(utc: UtcMicros) -> jiff::Timestamp {
-    jiff::Timestamp::from_microsecond(utc.0).unwrap_or(jiff::Timestamp::UNIX_EPOCH)
+    let beyond = if utc.0 < 0 { jiff::Timestamp::MIN } else { jiff::Timestamp::MAX };
+    jiff::Timestamp::from_microsecond(utc.0).unwrap_or(beyond)
 }
 
 /// `20260101T180000Z-venetian-blind-1a2b3c4d`: when, what, which plan.

@@ -7,7 +7,7 @@ use crate::archive::RunDir;
 use crate::archive::disk::RealDisk;
 use crate::archive::mend::resume_mended;
 use crate::archive::rundir::JOURNAL;
-use crate::archive::verify::{accept_loss, journal_must_be_sound};
+use crate::archive::verify::{accept_loss, records_must_be_sound};
 use crate::config::check::{Checked, Spectra};
 use crate::config::instrument::Instrument;
 use crate::config::source::read_bytes;
@@ -76,14 +76,14 @@ impl Unfinished {
     /// run needs its sample again: `sample`, or where the run found it.
     ///
     /// # Errors
-    /// Not a run; a damaged journal; as bad input every difference of plan, instrument, calibration and spectra.
+    /// Not a run; a journal, plan or kept file that is not as it was written; as bad input every difference of plan, instrument, calibration and spectra.
     pub fn compare(
         path: &Path,
         instrument: &Instrument,
         base: &Path,
         sample: Option<PathBuf>,
     ) -> Result<Unfinished, Failure> {
-        journal_must_be_sound(path).map_err(storage)?;
+        records_must_be_sound(path).map_err(storage)?;
         let dir = RunDir::open(path).map_err(storage)?;
         let text = dir.plan_toml().map_err(storage)?;
         let document: RunDocument = toml::from_str(&text).map_err(|e| {

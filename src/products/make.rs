@@ -11,7 +11,7 @@ use super::plots::canvas::Picture;
 use super::plots::{hemisphere, overview, spectrum};
 use super::reduce::{Reduction, Run, reduce};
 use super::report::{Figure, ProductFile, report};
-use crate::archive::seal::seal_products;
+use crate::archive::seal::{ProductSeal, frames_digest};
 use crate::archive::write_atomic;
 use crate::config::scan::Format;
 use crate::digest::sha256_hex;
@@ -65,6 +65,8 @@ struct Maker<'a> {
     /// Exports of an earlier call.
     earlier: Vec<Written>,
     not_made: Vec<String>,
+    /// Lifted with the first product.
+    seal: Option<ProductSeal>,
 }
 
 /// Everything the scan asks for, plots and report. An export that the run's frames cannot give is named in the report
@@ -125,7 +127,8 @@ impl<'a> Maker<'a> {
         let reduction = reduce(run)?;
         let context = context(run, &reduction.set, &reduction.facts)?;
         let folder = run.dir.path().join(PRODUCTS);
-        Ok(Maker { run, folder, reduction, context, written: Vec::new(), earlier: Vec::new(), not_made: Vec::new() })
+        let (written, earlier, not_made) = (Vec::new(), Vec::new(), Vec::new());
+        Ok(Maker { run, folder, reduction, context, written, earlier, not_made, seal: None })
     }
 
     fn make(&mut self, product: Product) -> Result<()> {
@@ -146,7 +149,9 @@ impl<'a> Maker<'a> {
 
     fn finish(self) -> Result<Made> {
         let files: Vec<PathBuf> = self.written.into_iter().map(|w| w.path).collect();
-        seal_products(self.run.dir.path(), &files)?;
+        if let Some(seal) = self.seal {
+            seal.set(&files)?;
+        }
         Ok(Made { files, headline: headline(&self.reduction.set), not_made: self.not_made })
     }
 }
@@ -154,11 +159,21 @@ impl<'a> Maker<'a> {
 // === what a maker makes ===
 
 impl Maker<'_> {
-    fn write(&mut self, name: &str, bytes: &[u8], what: &str) -> Result<()> {
+    /// The place of a product, ready to be written to.
+    fn place(&mut self, name: &str) -> Result<PathBuf> {
+        if self.seal.is_none() {
+            let from = frames_digest(self.run.frames.values());
+            self.seal = Some(ProductSeal::lift(self.run.dir.path(), from)?);
+        }
         let path = self.folder.join(name);
         if let Some(parent) = path.parent() {
             std::fs::create_dir_all(parent)?;
         }
+        Ok(path)
+    }
+
+    fn write(&mut self, name: &str, bytes: &[u8], what: &str) -> Result<()> {
+        let path = self.place(name)?;
         write_atomic(&path, bytes)?;
         self.written.push(Written { path, what: what.to_owned() });
         Ok(())
@@ -198,8 +213,7 @@ impl Maker<'_> {
     }
 
     fn hdf5(&mut self) -> Result<()> {
-        let path = self.folder.join("bsdf.h5");
-        std::fs::create_dir_all(&self.folder)?;
+        let path = self.place("bsdf.h5")?;
         write_hdf5(&path, &self.reduction.set, &self.context, &spectra(self.run))?;
         let what = HDF5.to_owned();
         self.written.push(Written { path, what });
@@ -229,10 +243,7 @@ impl Maker<'_> {
             pictures.push((format!("plots/{side}-{place}-{quantity}.png"), picture, what));
         }
         for (name, picture, what) in pictures {
-            let path = self.folder.join(&name);
-            if let Some(parent) = path.parent() {
-                std::fs::create_dir_all(parent)?;
-            }
+            let path = self.place(&name)?;
             picture.write(&path)?;
             self.written.push(Written { path, what });
         }

@@ -148,6 +148,17 @@ impl Tiny {
     /// One night from its beginning, in simulated time, in a folder of its own. What a fault of the plan ends, another
     /// process goes on with.
     pub fn night(&self, seed: u64, schedule: &Schedule, disk: Arc<dyn Disk>) -> Over {
+        self.night_until(seed, schedule, disk, |outcome| !is_to_go_on(outcome))
+    }
+
+    /// The same where another process goes on with the run until its outcome is `over`.
+    pub fn night_until(
+        &self,
+        seed: u64,
+        schedule: &Schedule,
+        disk: Arc<dyn Disk>,
+        over: impl Fn(&Outcome) -> bool,
+    ) -> Over {
         let runs = self.runs.path().join(format!("{seed}-{}", schedule.entries.len()));
         let path = runs.join("night");
         let disk = Arc::new(RoughDisk::over(disk));
@@ -159,7 +170,7 @@ impl Tiny {
             wrong.append(&mut life.wrong);
             (begun, passed) = (begun + life.begun, passed + life.took);
             match life.ended {
-                Ok(outcome) if !is_to_go_on(&outcome) => return Over { path, outcome, fired, resumed, wrong },
+                Ok(outcome) if over(&outcome) => return Over { path, outcome, fired, resumed, wrong },
                 _ => {}
             }
             resumed += 1;

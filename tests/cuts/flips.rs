@@ -1,10 +1,10 @@
 //! Promise: any changed bit of a run is found, in a finished run and in one that was cut short.
 
 use super::cut;
-use super::scan::{create, goes_on, reference, store};
+use super::scan::{create, goes_on, reference, store, stored, write};
 use super::tiny::memory_folder;
 use goniod::archive::disk::RealDisk;
-use goniod::archive::seal::seal_products;
+use goniod::archive::seal::{ProductSeal, frames_digest};
 use goniod::archive::verify::{accept_loss, verify};
 use goniod::archive::{ArchiveError, RunDir};
 use goniod_sim::truth::rng::Key;
@@ -23,13 +23,20 @@ const RESUMES: u64 = 500;
 fn finished(folder: &Path) -> PathBuf {
     reference(folder);
     let run = folder.join("reference/run");
+    make_products(&run);
+    run
+}
+
+/// Products as they are made from the frames that a run has.
+fn make_products(run: &Path) {
+    let frames = RunDir::open(run).unwrap().with(|j| j.frames()).unwrap();
+    let seal = ProductSeal::lift(run, frames_digest(frames.iter())).unwrap();
     let products = ["bsdf.xml", "plots/a.png", "report.html"].map(|name| run.join("products").join(name));
     for (i, path) in products.iter().enumerate() {
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         fs::write(path, vec![i as u8; 3000]).unwrap();
     }
-    seal_products(&run, &products).unwrap();
-    run
+    seal.set(&products).unwrap();
 }
 
 /// What a killed process leaves of a run in its middle: closed never, its log beside the journal.
@@ -43,6 +50,62 @@ fn left(folder: &Path) -> PathBuf {
     cut::copy(live.path(), &left);
     fs::copy(live.path().join("journal.sqlite-shm"), left.join("journal.sqlite-shm")).unwrap();
     left
+}
+
+/// Without a seal or a mark a change could stay unfound, and `verify` says so.
+#[test]
+fn what_nothing_is_left_to_prove_by_is_told() {
+    let folder = memory_folder();
+    let (finished, left) = (finished(folder.path()), left(folder.path()));
+    let unproven = |run: &Path| verify(run).unwrap().unproven;
+    assert!(verify(&finished).unwrap().whole() && unproven(&left).is_empty());
+    for (run, file, told) in [
+        (&finished, "products/products.seal", "`goniod reduce RUN`"),
+        (&left, "journal.head", "a lost end of its log"),
+        (&left, "journal.base", "a change of the journal's file"),
+    ] {
+        let before = unproven(run).len();
+        fs::remove_file(run.join(file)).unwrap();
+        let words = unproven(run);
+        assert!(words.len() == before + 1 && words.iter().any(|w| w.contains(told)), "{words:?}");
+        assert!(!verify(run).unwrap().whole());
+    }
+    fs::remove_file(finished.join("journal.seal")).unwrap();
+    let report = verify(&finished).unwrap();
+    assert!(!report.sealed && !report.whole());
+}
+
+/// Products of a run cut short are not those of the run that was gone on with.
+#[test]
+fn products_of_fewer_frames_are_told_until_they_are_made_again() {
+    let folder = memory_folder();
+    let run = left(folder.path());
+    make_products(&run);
+    assert!(verify(&run).unwrap().unproven.is_empty());
+    let dir = RunDir::resume(&run).unwrap();
+    write(&dir).unwrap();
+    dir.close().unwrap();
+    let report = verify(&run).unwrap();
+    assert!(report.sound() && report.sealed && !report.whole(), "{report:?}");
+    assert!(report.unproven.len() == 1 && report.unproven[0].contains("made from other frames"), "{report:?}");
+    make_products(&run);
+    assert!(verify(&run).unwrap().whole());
+}
+
+/// A log copied in from another run is as whole as any, and its rows are not this run's.
+#[test]
+fn a_log_of_another_run_is_set_aside_and_not_read() {
+    let folder = memory_folder();
+    let expected = reference(folder.path());
+    let (run, other) = (left(&folder.path().join("this")), left(&folder.path().join("other")));
+    let log = fs::read(other.join("journal.sqlite-wal")).unwrap();
+    fs::write(run.join("journal.sqlite-wal"), &log).unwrap();
+    let refused = RunDir::resume(&run).err().unwrap().to_string();
+    assert!(refused.contains("--accept-loss"), "{refused}");
+    accept_loss(&run, &RealDisk).unwrap();
+    assert_eq!(fs::read(run.join("journal.sqlite-wal.foreign")).unwrap(), log);
+    assert_eq!(stored(&run), 0, "rows of another run");
+    goes_on(&run, &expected, 0, "a foreign log");
 }
 
 /// Every file of a finished run, products too, is covered, and every record of one that was cut short.

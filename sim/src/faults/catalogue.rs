@@ -323,6 +323,11 @@ impl Kind {
         Kind::all().into_iter().filter(|kind| kind.is_transient()).collect()
     }
 
+    /// Every kind that outlasts a night's patience, or is an alarm: somebody goes on with the run.
+    pub fn lasting() -> Vec<Kind> {
+        Kind::all().into_iter().filter(|kind| !kind.is_transient()).collect()
+    }
+
     /// Every kind of lamp and light monitor, for a bench that has one; all pass by themselves.
     pub fn of_the_light() -> Vec<Kind> {
         let lines = LINE.iter().map(|line| Kind::Line(Port::LightMonitor, *line));

@@ -163,7 +163,7 @@ impl Targets {
         let (twins, draw) = (&self.twins, entry.draw);
         match entry.kind {
             Kind::Line(port, kind) => self.line(port, kind, draw),
-            Kind::LongUnplugged(port) => unplug(twins, port, seconds(900.0, 900.0, draw)),
+            Kind::LongUnplugged(port) => unplug(twins, port, seconds(900.0, 3600.0, draw)),
             Kind::Holder(kind) => twins.inject(Fault::Holder(holder(kind, draw, twins, clock))),
             Kind::Wheel(kind) => match kind {
                 WheelKind::OffByOne => twins.inject(Fault::Wheel(WheelFault::Button(1))),

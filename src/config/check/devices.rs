@@ -11,6 +11,9 @@ use std::collections::BTreeMap;
 /// Names that `safe_state.order` may hold.
 const SAFE_NAMES: [&str; 6] = ["shutter", "tilt", "spin", "changer", "filter_wheel", "cameras"];
 
+/// Least speed of an axis, degrees per second, and least acceleration, degrees per second².
+const SLOWEST: f64 = 0.001;
+
 /// Bands that no camera photographs.
 pub(super) const NOT_BANDS: [&str; 2] = ["open", "dark"];
 
@@ -133,8 +136,9 @@ fn axis(key: &str, axis: &Axis, report: &mut Report<'_>) {
         );
     }
     report.range(&at("zero_deg"), axis.zero_deg, -3600.0, 3600.0);
-    report.positive(&at("speed_deg_per_s"), axis.speed_deg_per_s, 1000.0);
-    report.positive(&at("acceleration_deg_per_s2"), axis.acceleration_deg_per_s2, 1e5);
+    // Slower is no stage: a turn would take more than four days.
+    report.range(&at("speed_deg_per_s"), axis.speed_deg_per_s, SLOWEST, 1000.0);
+    report.range(&at("acceleration_deg_per_s2"), axis.acceleration_deg_per_s2, SLOWEST, 1e5);
     report.positive(&at("tolerance_deg"), axis.tolerance_deg, 5.0);
     report.range(&at("settle_s"), axis.settle_s, 0.0, 600.0);
 }

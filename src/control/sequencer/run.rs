@@ -177,17 +177,18 @@ impl Night<'_> {
     /// Checks the bench and takes the exposures that are to do; gives why it is over.
     async fn exposures(&mut self, to_do: &BTreeSet<u32>) -> Ended {
         self.stage.go(Input::Start).await;
+        let plan = self.job.plan;
+        let goes_on = to_do.len() < plan.steps.len();
         let (mut hands, listener) = self.hands();
         let checked = tokio::select! {
             biased;
             () = listener.until_interrupted(hands.stage) => Err((Ending::Aborted, None)),
-            checked = hands.check() => checked.map_err(|(e, why)| (e, Some(why))),
+            checked = hands.check(goes_on) => checked.map_err(|(e, why)| (e, Some(why))),
         };
         if let Err(ended) = checked {
             return self.asked_or_failed().unwrap_or(ended);
         }
         self.stage.go(Input::Ready).await;
-        let plan = self.job.plan;
         let views: BTreeMap<u32, &View> = plan.views.iter().map(|view| (view.id, view)).collect();
         for bracket in plan.steps.chunk_by(|a, b| a.view == b.view) {
             let todo: Vec<&Step> = bracket.iter().filter(|step| to_do.contains(&step.number)).collect();

@@ -50,19 +50,23 @@ enum Failure {
 // === impl Hands ===
 
 impl Hands<'_> {
-    /// Opens every device, with the same recovery as an exposure.
-    pub(super) async fn check(&mut self) -> Result<(), (Ending, String)> {
+    /// Opens every device, with the same recovery as an exposure. At the beginning of a run a device that cannot be had
+    /// ends it: somebody is still there to look. A run that is gone on with has worked before and may have nobody beside
+    /// it: what cannot be had is waited for where it is needed, as in its middle.
+    pub(super) async fn check(&mut self, goes_on: bool) -> Result<(), (Ending, String)> {
+        let phase = if goes_on { Phase::Exposure } else { Phase::Start };
         for id in self.bench.ids() {
-            while let Err(fault) = self.aid(&id, Aid::Reopen).await {
-                match self.recover(fault, Phase::Start, None).await {
-                    None => {}
-                    Some(StepEnd::End(ending, why)) => return Err((ending, why)),
-                    Some(StepEnd::Missing(why)) => return Err((Ending::NotReady, why)),
-                    Some(StepEnd::Lost(id, _)) => return Err((Ending::NotReady, format!("{id} is lost"))),
-                    Some(StepEnd::Taken) => break,
+            let end = loop {
+                let Err(fault) = self.aid(&id, Aid::Reopen).await else { break None };
+                if let Some(end) = self.recover(fault, phase, None).await {
+                    break Some(end);
                 }
+            };
+            match end {
+                None => self.memory.works(&id),
+                Some(StepEnd::End(ending, why)) => return Err((ending, why)),
+                Some(StepEnd::Lost(..) | StepEnd::Missing(_) | StepEnd::Taken) => {}
             }
-            self.memory.works(&id);
         }
         Ok(())
     }

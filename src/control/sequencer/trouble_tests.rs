@@ -5,9 +5,9 @@ use super::fakes::{self, DARK_SLOT, Shared};
 use super::interlocks::Reason;
 use super::recovery::Policies;
 use super::state::{Ending, State};
-use super::tests::{Night, counts, is_safe, job, layout_of, plan, stored_under_true_labels};
+use super::tests::{Night, begun, counts, is_safe, job, layout_of, plan, stored_under_true_labels};
 use super::verbs::Verb;
-use super::{Job, run};
+use super::{Job, Outcome, run};
 use crate::archive::disk::{Disk, RealDisk};
 use crate::archive::verify::verify;
 use crate::archive::{NewRun, RunDir};
@@ -99,6 +99,52 @@ async fn a_device_lost_for_ten_minutes_suspends_the_run_in_the_safe_state_and_no
         all_is_stored(&night);
         assert!(night.outcome.is_safe());
     }
+}
+
+/// Killed and begun again by itself at three in the morning: a device that is away then is waited for as in mid-run. A run
+/// that begins is not held up by what its operator can still see to.
+#[tokio::test(start_paused = true)]
+async fn a_device_that_is_away_when_a_run_is_gone_on_with_is_waited_for() {
+    for device in ["tilt", "filter_wheel", "shutter"] {
+        let night = trouble(
+            |_| (),
+            disk(),
+            async |verbs: mpsc::Sender<Verb>, _| {
+                tokio::time::sleep(8 * S).await;
+                verbs.send(Verb::Stop).await.unwrap();
+                std::future::pending().await
+            },
+        )
+        .await;
+        let (stored, 0, left) = counts(&night.outcome) else { panic!("{:?}", night.outcome) };
+        assert!(stored > 0 && left > 0);
+        let again = again_without(&night.path, device, 600 * S).await;
+        assert_eq!((again.ending, counts(&again)), (Ending::Completed, (15, 0, 0)), "{device}: {:?}", again.message);
+        assert!(again.is_safe() && verify(&night.path).unwrap().whole());
+        assert_eq!(stored_under_true_labels(&night.path), 15, "{device}");
+
+        let (_runs, begun) = begun(&plan());
+        let path = begun.path().to_path_buf();
+        drop(begun);
+        let first = again_without(&path, device, 600 * S).await;
+        assert_eq!((first.ending, counts(&first)), (Ending::NotReady, (0, 0, 15)), "{device}");
+    }
+}
+
+/// Goes on with a run whose device is away for a while.
+async fn again_without(path: &Path, device: &str, away: Duration) -> Outcome {
+    let (plan, clock) = (plan(), Clock::starting_at(UtcMicros(START_US)));
+    let (mut bench, world) = fakes::bench(clock);
+    world.lock().unwrap().hung.insert(device.to_owned());
+    let archive = Arc::new(RunDir::resume(path).unwrap());
+    let (_verbs, asked) = mpsc::channel(1);
+    let back = tokio::spawn(async move {
+        tokio::time::sleep(away).await;
+        world.lock().unwrap().hung.clear();
+    });
+    let outcome = run(&job(&plan), &mut bench, archive, clock, asked, &EventBus::default()).await.unwrap();
+    back.abort();
+    outcome
 }
 
 #[tokio::test(start_paused = true)]

@@ -4,6 +4,7 @@ use super::interlocks::Reason;
 use super::stage::Stage;
 use super::state::{Ending, Input, State};
 use crate::control::events::Event;
+use rustix::process::Signal as Os;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -187,15 +188,21 @@ impl Listener {
     }
 }
 
-/// The signals that ask a program to end well: SIGTERM, SIGINT, SIGQUIT, and SIGHUP of a terminal that is closed, unless
-/// the program was started so that it survives that (nohup).
+/// What would kill a program that does not heed it, and is none of the ends that somebody asks for: a limit of its time, a
+/// failing power supply, a timer, a signal sent by mistake.
+const LESS_USUAL: [Os; 7] = [Os::XCPU, Os::POWER, Os::ALARM, Os::VTALARM, Os::PROF, Os::USR1, Os::USR2];
+
+/// The signals that ask a program to end well: SIGTERM, SIGINT, SIGQUIT, SIGHUP of a terminal that is closed, unless the
+/// program was started so that it survives that (nohup), and whatever else would end it otherwise. A file that grows
+/// beyond a limit ends nothing: the write fails, as on a full disk.
 ///
 /// # Errors
 /// When the operating system refuses the handlers.
 pub fn ending_signals() -> std::io::Result<Vec<Signal>> {
+    drop(signal(SignalKind::from_raw(Os::XFSZ.as_raw()))?);
     let hangup = (!ignores_hangup()).then(SignalKind::hangup);
     let kinds = [SignalKind::terminate(), SignalKind::interrupt(), SignalKind::quit()].into_iter().chain(hangup);
-    kinds.map(signal).collect()
+    kinds.chain(LESS_USUAL.map(|s| SignalKind::from_raw(s.as_raw()))).map(signal).collect()
 }
 
 /// As the kernel tells in the mask of ignored signals; signal 1 is its lowest bit.

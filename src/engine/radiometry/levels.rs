@@ -185,6 +185,18 @@ impl LevelTable {
         self.floor_x
     }
 
+    /// Least and greatest exposure that noise carries to no end of the range, twice as far as [`Class::Good`] asks: such
+    /// readings are unbiased also where another reading of the pixel chose them.
+    pub(super) fn sure_x(&self) -> (f64, f64) {
+        let sure = |d: &&Detail| {
+            let reach = 2.0 * SAFE_SIGMA * d.var.sqrt();
+            d.x - reach >= self.floor_x && d.x + reach < self.top_x
+        };
+        let mut x = self.details.iter().filter(sure).map(|d| d.x);
+        let least = x.next().unwrap_or(f64::INFINITY);
+        (least, x.next_back().unwrap_or(least))
+    }
+
     fn digital_entry(&self, level: usize) -> Entry {
         self.entries.get(level).copied().unwrap_or_default()
     }
@@ -268,6 +280,19 @@ pub(crate) mod tests {
             noise: Noise { electrons_at_unit_exposure: 240_000.0, read_noise_e: 150.0 },
             ..ccd()
         }
+    }
+
+    /// Noisy levels: Gaussian shot and read noise from a small generator.
+    pub fn noisy(r: &Radiometer, x: f64, seed: &mut u64) -> u16 {
+        let mut uniform = || {
+            *seed = seed.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            ((*seed >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
+        };
+        let normal = (-2.0 * uniform().ln()).sqrt() * (std::f64::consts::TAU * uniform()).cos();
+        let e1 = r.noise.electrons_at_unit_exposure;
+        let e = x * e1 + normal * (x * e1 + r.noise.read_noise_e.powi(2)).sqrt();
+        let level = (f64::from(r.levels) * r.response.ndl((e / e1).max(0.0))).floor();
+        level.clamp(0.0, f64::from(r.levels - 1)) as u16
     }
 
     #[test]

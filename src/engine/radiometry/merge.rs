@@ -328,8 +328,8 @@ mod tests {
     use super::*;
     use crate::optics::pixel_map::{Mosaic, tests as maps, vignetting};
     use crate::radiometry::dark::DarkMap;
-    use crate::radiometry::levels::tests::{ccd, ingaas};
-    use crate::radiometry::levels::{LevelTable, Radiometer};
+    use crate::radiometry::levels::LevelTable;
+    use crate::radiometry::levels::tests::{ccd, ingaas, noisy};
 
     const TIMES: [f64; 5] = [0.01, 0.04, 0.16, 0.64, 2.56];
 
@@ -337,19 +337,6 @@ mod tests {
     fn exposure(spec: &crate::optics::pixel_map::PixelMapSpec, i: usize, rate: f64, t: f64) -> f64 {
         let zenith = spec.fisheye.zenith_deg((i % spec.width) as f64, (i / spec.width) as f64);
         rate * t * vignetting(&spec.vignetting, (zenith / 90.0).min(1.0))
-    }
-
-    /// Noisy levels: Gaussian shot and read noise from a small generator.
-    fn noisy(r: &Radiometer, x: f64, seed: &mut u64) -> u16 {
-        let mut uniform = || {
-            *seed = seed.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-            ((*seed >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
-        };
-        let normal = (-2.0 * uniform().ln()).sqrt() * (std::f64::consts::TAU * uniform()).cos();
-        let e1 = r.noise.electrons_at_unit_exposure;
-        let e = x * e1 + normal * (x * e1 + r.noise.read_noise_e.powi(2)).sqrt();
-        let level = (f64::from(r.levels) * r.response.ndl((e / e1).max(0.0))).floor();
-        level.clamp(0.0, f64::from(r.levels - 1)) as u16
     }
 
     fn exposures<P>(frames: &[Vec<P>]) -> Vec<Exposure<'_, P>> {

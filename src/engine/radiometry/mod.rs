@@ -1,5 +1,6 @@
 //! From digital levels to relative exposure rates: response, level tables, dark, bracket merge.
 
+pub mod agreement;
 pub mod dark;
 #[cfg(test)]
 mod format_tests;

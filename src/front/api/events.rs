@@ -2,21 +2,24 @@
 //! many; nobody waits for it.
 
 use super::error::ApiError;
+use super::guarded::Watch;
 use super::routes::Shared;
 use crate::archive::RunDir;
 use crate::archive::rows::EventRow;
 use crate::control::events::Event as RunEvent;
 use crate::front::daemon::hub::{DaemonEvent, Hub, Phase, Told, What};
+use axum::Extension;
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{Query, State};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::Sse;
 use axum::response::sse::{Event, KeepAlive};
-use futures_util::stream::{self, Stream};
+use futures_util::stream::{self, Stream, StreamExt};
 use goniod_drivers::clock::UtcMicros;
 use serde::Deserialize;
 use std::collections::VecDeque;
 use std::convert::Infallible;
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::{broadcast, watch};
 
@@ -49,6 +52,7 @@ struct Listener {
 
 pub(super) async fn events(
     State(hub): State<Shared>,
+    Extension(watch): Extension<Arc<Watch>>,
     headers: HeaderMap,
     query: Result<Query<Since>, QueryRejection>,
 ) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, ApiError> {
@@ -67,6 +71,7 @@ pub(super) async fn events(
         let told = listener.next().await?;
         Some((Ok(sse(&told)), listener))
     });
+    let stream = stream.take_until(async move { watch.over().await });
     Ok(Sse::new(stream).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)))
 }
 

@@ -5,12 +5,14 @@ use axum::serve::Listener;
 use goniod_drivers::clock::Clock;
 use std::future::Future;
 use std::io;
+use std::os::fd::AsFd;
 use std::pin::Pin;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::task::{Context, Poll};
 use std::time::Duration;
-use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::io::{AsyncRead, AsyncWrite, Interest, ReadBuf};
+use tokio::net::unix::pipe::Receiver;
 use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore};
 use tokio::time::Instant;
 
@@ -37,11 +39,20 @@ pub struct GuardedIo<I> {
     place: Arc<Place>,
 }
 
+/// Tells an answer that goes on for ever when to end.
+pub struct Watch {
+    place: Arc<Place>,
+    /// The connection once more, as something to wait for; absent where the system gives no more descriptors.
+    line: Option<Receiver>,
+}
+
 /// One connection's place.
 struct Place {
     moved: Mutex<Instant>,
     leaves: AtomicBool,
     wake: Notify,
+    /// As `wake`, for the watch.
+    wanted: Notify,
     _permit: Option<OwnedSemaphorePermit>,
 }
 
@@ -94,8 +105,8 @@ impl<L: Listener> Listener for Guarded<L> {
 
 impl Place {
     fn new(now: Instant, permit: Option<OwnedSemaphorePermit>) -> Place {
-        let (moved, wake) = (Mutex::new(now), Notify::new());
-        Place { moved, leaves: AtomicBool::new(false), wake, _permit: permit }
+        let (moved, wake, wanted) = (Mutex::new(now), Notify::new(), Notify::new());
+        Place { moved, leaves: AtomicBool::new(false), wake, wanted, _permit: permit }
     }
 
     fn moved(&self) -> Instant {
@@ -109,6 +120,7 @@ impl Place {
     fn leave(&self) {
         self.leaves.store(true, Ordering::SeqCst);
         self.wake.notify_one();
+        self.wanted.notify_one();
     }
 }
 
@@ -134,6 +146,34 @@ impl<I> GuardedIo<I> {
             self.alarm = alarm(self.clock, Arc::clone(&self.place), due);
         }
         Poll::Pending
+    }
+}
+
+impl<I: AsFd> GuardedIo<I> {
+    /// A watch over this connection.
+    pub fn watch(&self) -> Watch {
+        let line = self.io.as_fd().try_clone_to_owned().and_then(Receiver::from_owned_fd_unchecked);
+        Watch { place: Arc::clone(&self.place), line: line.ok() }
+    }
+}
+
+// === impl Watch ===
+
+impl Watch {
+    /// Until the client has closed its end, or its place is wanted. A client that only sends no more (`nc -N`) is there
+    /// still; over TCP the two look the same, and the next write tells.
+    pub async fn over(&self) {
+        let closed = async {
+            match &self.line {
+                // A receiver is told of writing only when both ways are closed. Nothing is read here.
+                Some(line) => drop(line.ready(Interest::WRITABLE).await),
+                None => std::future::pending::<()>().await,
+            }
+        };
+        tokio::select! {
+            () = closed => {}
+            () = self.place.wanted.notified() => {}
+        }
     }
 }
 

@@ -1,17 +1,19 @@
 //! The listeners: a Unix socket for everything, a loopback port to look at, and how both end.
 
-use super::guarded::Guarded;
+use super::guarded::{Guarded, GuardedIo};
 use super::routes::{Shared, router};
 use crate::front::daemon::error::DaemonError;
 use crate::front::daemon::hub::Phase;
-use axum::Router;
 use axum::serve::Listener;
+use axum::{Extension, Router};
 use hyper::server::conn::http1;
 use hyper_util::rt::TokioIo;
 use hyper_util::service::TowerToHyperService;
 use std::net::SocketAddr;
+use std::os::fd::AsFd;
 use std::os::unix::fs::{FileTypeExt, PermissionsExt};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpListener, UnixListener};
@@ -67,6 +69,7 @@ impl Servers {
 fn serve<L>(hub: &Shared, listener: L, read_only: bool) -> JoinHandle<()>
 where
     L: Listener,
+    L::Io: AsFd,
     L::Addr: std::fmt::Debug,
 {
     let router = router(Shared::clone(hub), read_only);
@@ -77,11 +80,13 @@ where
         // Those that are under way end with this task, at the latest.
         let mut connections = JoinSet::new();
         loop {
-            tokio::select! {
+            // Nothing but the end may interrupt this: a connection that waits for its place would be lost.
+            let (io, _) = tokio::select! {
                 () = &mut closing => break,
-                Some(_) = connections.join_next() => {}
-                (io, _) = guarded.accept() => drop(connections.spawn(answer(io, router.clone(), phase.clone()))),
-            }
+                accepted = guarded.accept() => accepted,
+            };
+            while connections.try_join_next().is_some() {}
+            connections.spawn(answer(io, router.clone(), phase.clone()));
         }
         drop(guarded);
         while connections.join_next().await.is_some() {}
@@ -90,11 +95,11 @@ where
 
 /// Answers the requests of one connection. A client that sends no more may still wait for its answer: half a connection
 /// is enough (`nc -N`, `socat`).
-async fn answer<I>(io: I, router: Router, phase: watch::Receiver<Phase>)
+async fn answer<I>(io: GuardedIo<I>, router: Router, phase: watch::Receiver<Phase>)
 where
-    I: AsyncRead + AsyncWrite + Unpin + Send + 'static,
+    I: AsyncRead + AsyncWrite + AsFd + Unpin + Send + 'static,
 {
-    let service = TowerToHyperService::new(router);
+    let service = TowerToHyperService::new(router.layer(Extension(Arc::new(io.watch()))));
     let connection = http1::Builder::new().half_close(true).serve_connection(TokioIo::new(io), service);
     let mut connection = std::pin::pin!(connection);
     // A connection's error is its client's: nobody is left to tell.
@@ -147,10 +152,10 @@ async fn bind(hub: &Shared, path: &Path) -> Result<UnixListener, DaemonError> {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
+    use crate::front::api::guarded::MOST_CONNECTIONS;
     use crate::front::daemon::hub::{Facts, Hub};
     use crate::front::daemon::queue::Queue;
     use goniod_drivers::clock::Clock;
-    use std::sync::Arc;
     use tokio::io::{AsyncReadExt, AsyncWriteExt};
     use tokio::net::UnixStream;
 
@@ -202,5 +207,45 @@ mod tests {
         }
         let whole = "GET /v1/status HTTP/1.1\r\nHost: goniod\r\nConnection: close\r\n\r\n";
         assert!(said_and_done(&socket, whole).await.contains("200 OK"));
+    }
+
+    /// A client that has asked for events and got the head of the answer.
+    async fn listener(socket: &Path) -> UnixStream {
+        let mut client = UnixStream::connect(socket).await.unwrap();
+        client.write_all(b"GET /v1/events HTTP/1.1\r\nHost: goniod\r\n\r\n").await.unwrap();
+        let mut head = [0; 15];
+        client.read_exact(&mut head).await.unwrap();
+        assert_eq!(&head, b"HTTP/1.1 200 OK");
+        client
+    }
+
+    /// Long before the next comment of a stream would tell.
+    #[tokio::test]
+    async fn a_stream_ends_when_its_client_is_gone_or_its_place_is_wanted_and_not_before() {
+        const SOON: Duration = Duration::from_secs(3);
+        let state = tempfile::tempdir().unwrap();
+        let (hub, socket) = (hub(state.path()), state.path().join("goniod.sock"));
+        let _servers = Servers::start(&hub, &socket, None).await.unwrap();
+        let (mut sends_no_more, goes) = (listener(&socket).await, listener(&socket).await);
+        sends_no_more.shutdown().await.unwrap();
+        drop(goes);
+        let one_is_left = async {
+            while hub.listeners() > 1 {
+                hub.clock.sleep(Duration::from_millis(5)).await;
+            }
+        };
+        hub.clock.timeout(SOON, one_is_left).await.unwrap();
+        hub.clock.sleep(Duration::from_millis(100)).await;
+        assert_eq!(hub.listeners(), 1, "who sends no more still listens");
+        let mut others = Vec::new();
+        for _ in 1..MOST_CONNECTIONS {
+            others.push(listener(&socket).await);
+        }
+        let request = "GET /v1/status HTTP/1.1\r\nHost: goniod\r\n\r\n";
+        let answer = hub.clock.timeout(SOON, said_and_done(&socket, request)).await.unwrap();
+        assert!(answer.contains("200 OK"), "{answer}");
+        let mut rest = Vec::new();
+        let told = hub.clock.timeout(SOON, sends_no_more.read_to_end(&mut rest)).await;
+        assert!(told.is_ok(), "the one that was silent longest was sent away");
     }
 }

@@ -5,6 +5,7 @@ use super::routes::Shared;
 use crate::front::daemon::entry::Products;
 use crate::front::daemon::hub::{Current, Hub, Phase};
 use crate::front::night::stamp;
+use crate::front::remaining::after;
 use axum::Json;
 use axum::extract::State;
 use goniod_drivers::clock::UtcMicros;
@@ -59,7 +60,7 @@ fn run_now(current: &Current, now: UtcMicros) -> RunNow {
         begun: stamp(current.begun).to_string(),
         left_s,
         lamp: current.lamp.told(),
-        done_at: stamp(UtcMicros(now.0 + (left_s * 1e6) as i64)).to_string(),
+        done_at: stamp(after(now, left_s)).to_string(),
     }
 }
 

@@ -10,6 +10,7 @@ use axum::Json;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use axum::http::StatusCode;
+use std::time::Duration;
 use tokio::sync::mpsc::error::TrySendError;
 
 /// The verbs by the names of their paths.
@@ -21,6 +22,9 @@ pub const VERBS: [(&str, Verb); 6] = [
     ("abort", Verb::Abort),
     ("safe", Verb::Safe),
 ];
+
+/// How long a run that begins or ends may keep the bench from who wants it safe.
+const BENCH: Duration = Duration::from_secs(3);
 
 pub(super) async fn ask(
     State(hub): State<Shared>,
@@ -70,12 +74,12 @@ fn give(hub: &Hub, current: &Current, verb: Verb) -> Result<&'static str, ApiErr
 
 /// Without a run: opens what the safe state lists and makes it safe; the queue is held first.
 async fn make_safe(hub: &Shared) -> Result<String, ApiError> {
-    let why = "the bench was made safe by the operator; `goniod resume` lets the queue go on";
+    let why = "the operator asked for the safe state; `goniod resume` lets the queue go on";
     let holder = Shared::clone(hub);
     let saved = tokio::task::spawn_blocking(move || holder.hold(Some(why.to_owned())));
     let saved = saved.await.map_err(|e| ApiError::broken(&e))?;
-    let Ok(_bench) = hub.bench.try_lock() else {
-        let why = "a run is about to begin or to end; ask again in a moment";
+    let Ok(_bench) = hub.clock.timeout(BENCH, hub.bench.lock()).await else {
+        let why = "a run is about to end; ask again in a moment";
         return Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, why));
     };
     let made = safety::make_safe(hub).await;

@@ -56,11 +56,25 @@ impl Output {
         Ok(exit)
     }
 
+    /// Says the result of a command that failed in its last part, and why it failed.
+    pub fn result_with<T: Serialize>(&self, failure: &Failure, result: &T, text: impl FnOnce() -> String) -> Outcome {
+        if self.json {
+            self.document(failure.exit, &failure.messages, Some(result));
+        } else {
+            self.line(&text());
+        }
+        Ok(self.complain(failure))
+    }
+
     /// Says why a command failed.
     pub fn failure(&self, failure: &Failure) -> Exit {
         if self.json {
             self.document::<()>(failure.exit, &failure.messages, None);
         }
+        self.complain(failure)
+    }
+
+    fn complain(&self, failure: &Failure) -> Exit {
         for message in &failure.messages {
             let _ = writeln!(std::io::stderr(), "goniod: {message}");
         }

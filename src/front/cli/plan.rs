@@ -4,9 +4,9 @@ use super::exit::Exit;
 use super::input::{ScanArgs, moment};
 use super::output::{Outcome, Output};
 use crate::control::plan::{Forecast, Plan, Step, Subject, View};
-use crate::front::night;
+use crate::front::{night, remaining};
 use crate::products::night::duration;
-use goniod_drivers::clock::{Clock, UtcMicros};
+use goniod_drivers::clock::Clock;
 use serde::Serialize;
 use std::fmt::Write;
 
@@ -46,7 +46,7 @@ pub fn run(args: Args, output: &Output) -> Outcome {
     let plan = night::plan(&checked)?;
     let start = args.start.as_deref().map_or(Ok(Clock::system().utc()), moment)?;
     let total_s = plan.forecast.total_s();
-    let finish = UtcMicros(start.0 + (total_s * 1e6) as i64);
+    let finish = remaining::after(start, total_s);
     let shown = Shown {
         scan: &checked.scan.name,
         instrument: &checked.instrument.name,

@@ -5,7 +5,7 @@ use crate::control::plan::Plan;
 use crate::control::sequencer::state::State;
 use crate::front::lamp::{self, LampWait};
 use crate::front::night::stamp;
-use crate::front::remaining::left_s;
+use crate::front::remaining::{after, left_s};
 use crate::products::night::duration;
 use goniod_drivers::clock::UtcMicros;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -59,8 +59,7 @@ async fn follow(bar: ProgressBar, mut events: broadcast::Receiver<Stamped>, fore
                 bar.set_position(u64::from(done));
                 let elapsed_s = (now.0 - begin.0) as f64 / 1e6 - wait.taken_s(now);
                 let left_s = left_s(forecast_s, elapsed_s, done, steps as u32) + wait.ahead_s(now);
-                let end = UtcMicros(now.0 + (left_s * 1e6) as i64);
-                let clock = stamp(end).strftime("%H:%M:%S UTC").to_string();
+                let clock = stamp(after(now, left_s)).strftime("%H:%M:%S UTC").to_string();
                 bar.set_message(format!("{} left, done at {clock}", duration(left_s)));
             }
             Event::StepMissing { step, reason, .. } => bar.println(format!("step {step} missing: {reason}")),

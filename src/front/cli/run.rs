@@ -72,7 +72,7 @@ pub fn run(args: Args, output: &Output) -> Outcome {
     }
     let path = instrument_path(args.scan.instrument.as_deref())?;
     let locks = lock_instrument(&path, &checked.instrument, "goniod run")?;
-    if let Some(unfinished) = to_go_on_with(&checked, &runs)? {
+    if let Some(unfinished) = to_go_on_with(&checked, &runs, output)? {
         output.say(&format!("going on with {}", unfinished.path.display()));
         return super::resume::go_on(unfinished, false, !args.no_products, (&locks, output));
     }
@@ -83,23 +83,21 @@ pub fn run(args: Args, output: &Output) -> Outcome {
 }
 
 /// The newest unfinished run, where the instrument wants it gone on with by itself and it is the same scan and plan.
-fn to_go_on_with(checked: &Checked, runs: &Path) -> Result<Option<Unfinished>, Failure> {
+fn to_go_on_with(checked: &Checked, runs: &Path, output: &Output) -> Result<Option<Unfinished>, Failure> {
     if !checked.instrument.auto_resume {
         return Ok(None);
     }
-    let path = match newest_unfinished(runs) {
-        Ok(Some(path)) => path,
+    let sample = checked.simulated_sample.clone();
+    let compare = |path: PathBuf| Unfinished::compare(&path, &checked.instrument, &checked.instrument_dir, sample);
+    let run = match newest_unfinished(runs).and_then(|path| path.map(compare).transpose()) {
+        Ok(Some(run)) => run,
         Ok(None) => return Ok(None),
         Err(failure) => {
-            // An old run that cannot be read does not stand in tonight's way.
-            tracing::warn!(why = failure.messages.join("; "), "no run is gone on with");
+            // A run that is damaged, or of another instrument or calibration, does not stand in tonight's way.
+            let why = failure.messages.join("; ");
+            output.warn(&format!("an unfinished run is not gone on with, a new one is begun: {why}"));
             return Ok(None);
         }
-    };
-    let sample = checked.simulated_sample.clone();
-    // A run of another instrument or with another calibration is another run: a new one is started.
-    let Ok(run) = Unfinished::compare(&path, &checked.instrument, &checked.instrument_dir, sample) else {
-        return Ok(None);
     };
     let same = run.document.scan == checked.scan && run.document.plan.hash == night::plan(checked)?.hash;
     Ok((same && !run.document.virtual_time).then_some(run))
@@ -170,15 +168,28 @@ pub async fn carry_out(
 
 /// Makes the products of a run that has frames and says how everything went.
 pub fn finish(mut ran: Ran, exit: Exit, products: bool, output: &Output) -> Outcome {
-    let mut made: Option<Made> = None;
     let exit = if ran.faults.is_empty() { exit } else { judged(&mut ran, exit)? };
-    if products && ran.stored > 0 && matches!(exit, Exit::Done | Exit::Incomplete) {
-        let run = super::input::open_run(&ran.run)?;
-        let result = make_all(&run).map_err(|e| Failure::new(Exit::Storage, e.to_string()))?;
-        ran.products = result.files.clone();
-        made = Some(result);
+    if !products || ran.stored == 0 || !matches!(exit, Exit::Done | Exit::Incomplete) {
+        return output.result(exit, &ran, || text(&ran, None));
     }
-    output.result(exit, &ran, || text(&ran, made.as_ref()))
+    match make_products(&ran.run) {
+        Ok(made) => {
+            ran.products.clone_from(&made.files);
+            output.result(exit, &ran, || text(&ran, Some(&made)))
+        }
+        // The night is over and well kept, whatever becomes of its products.
+        Err(failure) => output.result_with(&failure, &ran, || text(&ran, None)),
+    }
+}
+
+/// All products of a run.
+fn make_products(run: &Path) -> Result<Made, Failure> {
+    let made = super::input::open_run(run)
+        .and_then(|opened| make_all(&opened).map_err(|e| Failure::new(Exit::Storage, e.to_string())));
+    made.map_err(|failure| {
+        let (why, run) = (failure.messages.join("; "), run.display());
+        Failure::new(failure.exit, format!("the products were NOT MADE: {why}; then `goniod reduce {run}` makes them"))
+    })
 }
 
 /// Asks the oracle about a run with faults: one wrong label is damage.

@@ -136,6 +136,9 @@ pub fn now_line(run: &RunNow) -> String {
 }
 
 fn run_line(r: &RunStatus) -> String {
+    if let Some(why) = &r.reason {
+        return format!("{:<10} {why}", r.state);
+    }
     format!(
         "{:<10} {:>6} stored {:>5} missing {:>6} not done  {:>8.1} MB  {}",
         r.state,

@@ -26,6 +26,7 @@ struct Verified {
     planned: u32,
     findings: Vec<Finding>,
     leftovers: Vec<String>,
+    unproven: Vec<String>,
 }
 
 /// Runs the command.
@@ -47,6 +48,7 @@ pub fn run(args: Args, output: &Output) -> Outcome {
         planned: found.summary.planned,
         findings: found.findings,
         leftovers: found.leftovers,
+        unproven: found.unproven,
     };
     output.result(exit, &verified, || text(&verified))
 }
@@ -54,6 +56,7 @@ pub fn run(args: Args, output: &Output) -> Outcome {
 fn text(v: &Verified) -> String {
     let mut lines: Vec<String> = v.findings.iter().map(words).collect();
     lines.extend(v.leftovers.iter().map(|l| format!("left over from a write that was cut short, harmless: {l}")));
+    lines.extend(v.unproven.iter().map(|what| format!("cannot be proven: {what}")));
     let state = if v.sound { "sound" } else { "DAMAGED" };
     let sealed = if v.sealed { "sealed" } else { "not closed" };
     lines.push(format!(

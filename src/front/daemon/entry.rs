@@ -16,6 +16,9 @@ pub struct Entry {
     pub work: Work,
     /// What became of it.
     pub state: EntryState,
+    /// Its run directory was made.
+    #[serde(default)]
+    pub begun: bool,
     /// What became of the products of its run.
     pub products: Products,
 }

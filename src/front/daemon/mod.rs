@@ -8,7 +8,7 @@
 //! ```
 //!
 //! - [`entry`], [`queue`], [`snapshot`]: what is to be done, on the disk, with copies of its files
-//! - [`worker`], [`start`], [`products`]: carry it out
+//! - [`settle`]: what the last daemon left; [`worker`], [`start`], [`products`]: carry it out
 //! - [`hub`]: what is going on now; the middle between worker and clients
 //! - [`lock`]: one at a time; [`safety`]: the safe state without a run; [`heart`]: signs of life to the service manager
 //! - [`serve`]: the whole daemon
@@ -22,6 +22,7 @@ pub mod products;
 pub mod queue;
 pub mod safety;
 pub mod serve;
+pub mod settle;
 pub mod snapshot;
 pub mod start;
 pub mod worker;

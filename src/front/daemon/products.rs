@@ -11,7 +11,8 @@ use std::sync::Arc;
 pub async fn work(hub: Arc<Hub>) {
     let mut phase = hub.phase();
     while *phase.borrow_and_update() < Phase::Stopping {
-        match hub.queue(|queue| queue.entries().find(|e| e.products == Products::Pending).cloned()) {
+        let due = |e: &&Entry| e.products == Products::Pending && matches!(e.state, EntryState::Done { .. });
+        match hub.queue(|queue| queue.entries().find(due).cloned()) {
             Some(entry) => make(&hub, &entry).await,
             None => tokio::select! {
                 () = hub.products.notified() => {}

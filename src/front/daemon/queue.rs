@@ -38,6 +38,7 @@ pub struct Queue {
     bad: Vec<BadEntry>,
     held: Option<String>,
     highest: u32,
+    claimed: Option<u32>,
 }
 
 /// A folder of the queue that cannot be read; it is left as it is.
@@ -93,6 +94,7 @@ impl Queue {
             bad: Vec::new(),
             held: read_hold(&state.join(HELD)),
             highest: 0,
+            claimed: None,
         };
         let listed = fs::read_dir(&folder).map_err(|source| DaemonError::Io { path: folder, source })?;
         let mut paths: Vec<PathBuf> = listed.flatten().map(|e| e.path()).collect();
@@ -139,6 +141,25 @@ impl Queue {
         running.or_else(|| self.entries.values().find(|e| e.state == EntryState::Waiting))
     }
 
+    /// Takes what is to be done now, unless the queue is held; nobody can take it out of the queue until it is let go.
+    pub fn claim(&mut self) -> Option<Entry> {
+        let entry = if self.held.is_some() { None } else { self.next().cloned() };
+        self.claimed = entry.as_ref().map(|e| e.id);
+        entry
+    }
+
+    /// Lets go of what was claimed.
+    pub fn let_go(&mut self) {
+        self.claimed = None;
+    }
+
+    /// Puts an entry back to those that wait, as the disk still has it.
+    pub fn put_back(&mut self, id: u32) {
+        if let Some(entry) = self.entries.get_mut(&id) {
+            entry.state = EntryState::Waiting;
+        }
+    }
+
     /// Gives a number and a place for copies away; nothing is in the queue yet.
     ///
     /// # Errors
@@ -158,7 +179,7 @@ impl Queue {
     /// Storage failures; the queue is then as it was.
     pub fn add(&mut self, staged: Staged, work: Work, added: String) -> Result<Entry, DaemonError> {
         let Staged { id, building } = &staged;
-        let entry = Entry { id: *id, added, work, state: EntryState::Waiting, products: Products::None };
+        let entry = Entry { id: *id, added, work, state: EntryState::Waiting, begun: false, products: Products::None };
         make_folders(&RealDisk, building)?;
         save(building, &entry)?;
         let path = self.folder_of(*id);
@@ -193,11 +214,12 @@ impl Queue {
     pub fn cancel(&mut self, id: u32) -> Result<Entry, DaemonError> {
         let entry = self.entries.get(&id).ok_or(DaemonError::NoEntry(id))?;
         match &entry.state {
-            EntryState::Waiting => self.set(id, |e| e.state = EntryState::Cancelled),
+            EntryState::Waiting if self.claimed != Some(id) => self.set(id, |e| e.state = EntryState::Cancelled),
             state => {
-                let running = matches!(state, EntryState::Running { .. });
+                let running = matches!(state, EntryState::Running { .. } | EntryState::Waiting);
                 let hint = if running { "; `goniod stop` ends the run" } else { "" };
-                Err(DaemonError::NotWaiting { id, state: state.name(), hint })
+                let state = if *state == EntryState::Waiting { "beginning" } else { state.name() };
+                Err(DaemonError::NotWaiting { id, state, hint })
             }
         }
     }
@@ -305,6 +327,19 @@ mod tests {
         assert_eq!(again.next().unwrap().id, 3);
         again.hold(None).unwrap();
         assert_eq!(Queue::open(state.path()).unwrap().held(), None);
+    }
+
+    #[test]
+    fn what_is_claimed_cannot_be_taken_out_and_a_held_queue_gives_nothing_away() {
+        let state = tempfile::tempdir().unwrap();
+        let mut queue = filled(state.path(), 2);
+        assert_eq!(queue.claim().unwrap().id, 1);
+        assert!(queue.cancel(1).unwrap_err().to_string().contains("beginning"));
+        queue.cancel(2).unwrap();
+        queue.let_go();
+        queue.hold(Some("-".to_owned())).unwrap();
+        assert!(queue.claim().is_none());
+        queue.cancel(1).unwrap();
     }
 
     #[test]

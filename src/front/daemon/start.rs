@@ -30,6 +30,14 @@ pub struct Begun {
     pub run: String,
 }
 
+/// Why an entry is not begun.
+pub enum NotBegun {
+    /// It cannot be: one sentence.
+    Failed(String),
+    /// The queue was held meanwhile; the entry stays as it was.
+    Held,
+}
+
 /// Checks a scan for the queue; gives what somebody should know too.
 ///
 /// # Errors
@@ -58,11 +66,13 @@ pub fn check_for_queue(
     Ok((queued, checked, warnings))
 }
 
-/// Prepares an entry's run; the entry is then written as running under its run's name.
+/// Prepares an entry's run; the entry is then written as running under its run's name. Reads files and, of a run that is
+/// gone on with, every frame: nothing for an async thread. Nothing is sent to a device yet.
 ///
 /// # Errors
-/// One sentence: copies that are damaged, a bench that cannot be opened, a run directory that cannot be made.
-pub fn begin(hub: &Hub, entry: &Entry, clock: Clock) -> Result<Begun, String> {
+/// [`NotBegun`]: copies that are damaged, a bench that cannot be opened, a run directory that cannot be made; a queue that
+/// is held, also because the entry could not be written.
+pub fn begin(hub: &Hub, entry: &Entry, clock: Clock) -> Result<Begun, NotBegun> {
     let scan = match (&entry.work, &entry.state) {
         (Work::Resume { run }, _) => return go_on(hub, entry, run, clock),
         (Work::Scan(_), EntryState::Running { run }) if hub.facts.runs_dir.join(run).exists() => {
@@ -71,43 +81,63 @@ pub fn begin(hub: &Hub, entry: &Entry, clock: Clock) -> Result<Begun, String> {
         (Work::Scan(scan), _) => scan,
     };
     let folder = hub.queue(|queue| queue.folder_of(entry.id));
-    let checked = snapshot::read(&folder, scan, &check_options(clock)).map_err(|e| e.to_string())?;
+    let checked = snapshot::read(&folder, scan, &check_options(clock)).map_err(failed)?;
     let plan = night::plan(&checked).map_err(sentence)?;
     if let Some(warning) = night::lamp_warning(&checked.instrument, &plan, &hub.facts.runs_dir) {
         tracing::warn!(entry = entry.id, warning);
     }
-    let opened = open_as_written(&checked, clock).map_err(|e| e.to_string())?;
+    let opened = open_as_written(&checked, clock).map_err(failed)?;
     let run = free_name(&hub.facts.runs_dir, night::name(&checked, &plan, clock));
     // First the name, then the directory: whichever a crash finds, the next start knows what to do.
-    change(hub, entry.id, |e| e.state = EntryState::Running { run: run.clone() });
+    is_running(hub, entry, &run, false)?;
     let night =
         night::prepare_named(&checked, plan, &hub.facts.runs_dir, clock, opened.seed, &run).map_err(sentence)?;
+    is_running(hub, entry, &run, true)?;
     Ok(Begun { checked, night, opened, clock, run })
+}
+
+/// Writes the entry as running, `begun` when its run directory is there; not while the queue is held, and without it on
+/// the disk nothing begins: after a crash nobody would know of the run.
+fn is_running(hub: &Hub, entry: &Entry, run: &str, begun: bool) -> Result<(), NotBegun> {
+    if hub.queue(|queue| queue.held().is_some()) {
+        return Err(NotBegun::Held);
+    }
+    let written = change(hub, entry.id, |e| {
+        e.state = EntryState::Running { run: run.to_owned() };
+        e.begun = begun;
+    });
+    if !written {
+        if !begun && !matches!(entry.state, EntryState::Running { .. }) {
+            hub.queue(|queue| queue.put_back(entry.id));
+        }
+        return Err(NotBegun::Held);
+    }
+    Ok(())
 }
 
 /// Goes on with a run that was cut short. What is compared with is the instrument that the entry was queued with, and
 /// for a run that was put into the queue by its name the instrument as it is now.
-fn go_on(hub: &Hub, entry: &Entry, run: &str, clock: Clock) -> Result<Begun, String> {
+fn go_on(hub: &Hub, entry: &Entry, run: &str, clock: Clock) -> Result<Begun, NotBegun> {
     let path = hub.facts.runs_dir.join(run);
     let (unfinished, bench) = match &entry.work {
         Work::Scan(scan) => {
             let folder = hub.queue(|queue| queue.folder_of(entry.id));
-            let was = snapshot::read(&folder, scan, &check_options(clock)).map_err(|e| e.to_string())?;
+            let was = snapshot::read(&folder, scan, &check_options(clock)).map_err(failed)?;
             let sample = was.simulated_sample.clone();
             let unfinished = Unfinished::compare(&path, &was.instrument, &was.instrument_dir, sample);
             (unfinished.map_err(sentence)?, was.bench)
         }
-        Work::Resume { .. } => (compare_with_now(hub, run)?, None),
+        Work::Resume { .. } => (compare_with_now(hub, run).map_err(failed)?, None),
     };
     if unfinished.document.virtual_time {
-        return Err(format!("{run} is a rehearsal; `goniod resume` goes on with it in virtual time"));
+        return Err(failed(format!("{run} is a rehearsal; `goniod resume` goes on with it in virtual time")));
     }
     let mut checked = unfinished.checked();
     if bench.is_some() {
         checked.bench = bench;
     }
-    let opened = open_as_written(&checked, clock).map_err(|e| e.to_string())?;
-    change(hub, entry.id, |e| e.state = EntryState::Running { run: run.to_owned() });
+    let opened = open_as_written(&checked, clock).map_err(failed)?;
+    is_running(hub, entry, run, true)?;
     let night = unfinished.night(false).map_err(sentence)?;
     Ok(Begun { checked, night, opened, clock, run: run.to_owned() })
 }
@@ -116,7 +146,7 @@ fn compare_with_now(hub: &Hub, run: &str) -> Result<Unfinished, String> {
     let file = &hub.facts.instrument;
     let instrument = load::<Instrument>(file, "instrument").map_err(|e| e.to_string())?.value;
     let base = file.parent().unwrap_or(Path::new("/"));
-    Unfinished::compare(&hub.facts.runs_dir.join(run), &instrument, base, None).map_err(sentence)
+    Unfinished::compare(&hub.facts.runs_dir.join(run), &instrument, base, None).map_err(|f| f.messages.join("; "))
 }
 
 /// The name, or with a number behind it where a run of this name is there already.
@@ -125,8 +155,12 @@ fn free_name(runs_dir: &Path, name: String) -> String {
     names.find(|name| !runs_dir.join(name).exists()).unwrap_or(name)
 }
 
-fn sentence(failure: Failure) -> String {
-    failure.messages.join("; ")
+fn sentence(failure: Failure) -> NotBegun {
+    NotBegun::Failed(failure.messages.join("; "))
+}
+
+fn failed(why: impl ToString) -> NotBegun {
+    NotBegun::Failed(why.to_string())
 }
 
 /// Whether a run can be put into the queue to be gone on with.

@@ -1,10 +1,12 @@
 //! Carries the queue out: one run at a time, in order, for as long as the daemon lives.
 
-use super::entry::{Ended, Entry, EntryState, Products, Work};
+use super::entry::{Ended, Entry, EntryState, Products};
 use super::error::DaemonError;
 use super::hub::{Current, Hub, Phase};
 use super::lock::Locks;
-use super::start::{Begun, begin};
+use super::queue::Queue;
+use super::settle::settle;
+use super::start::{Begun, NotBegun, begin};
 use crate::archive::rows::Summary;
 use crate::config::night::Recovery;
 use crate::control::events::{EventBus, Stamped};
@@ -13,7 +15,6 @@ use crate::control::sequencer::state::{Ending, State};
 use crate::control::sequencer::verbs::Verb;
 use crate::front::lamp::LampWait;
 use crate::front::night;
-use crate::front::runs::status_of;
 use goniod_drivers::clock::Clock;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
@@ -29,21 +30,30 @@ const SILENCE_S: f64 = 600.0;
 /// Exposures that may pass without an event.
 const SILENT_EXPOSURES: f64 = 10.0;
 
-/// Settles what the last daemon left, then works until the daemon is to end; a run under way is then ended well and gone on with at the next start.
+/// Settles what the last daemon left, then works until the daemon is to end; a run under way is then ended well and gone
+/// on with at the next start.
 pub async fn work(hub: &Arc<Hub>, locks: &Locks) {
     let mut phase = hub.phase();
-    if settle(hub) {
+    let left = settle(hub);
+    if left.bench {
         let _bench = hub.bench.lock().await;
         match super::safety::make_safe(hub).await {
             Ok(words) => tracing::info!(words, "the bench was made safe after a run that was cut short"),
+            // The run waits for what is away, and holds the queue where its end is not safe.
+            Err(why) if left.goes_on && left.hold.is_none() => {
+                tracing::warn!(why, "a run was cut short, and the bench could not be made safe")
+            }
             Err(why) => hold(hub, format!("a run was cut short, and the bench could not be made safe: {why}")),
         }
     }
+    if let Some(why) = left.hold.filter(|_| hub.queue(|queue| queue.held().is_none())) {
+        hold(hub, why);
+    }
     while *phase.borrow_and_update() == Phase::Working {
-        match hub.queue(|queue| if queue.held().is_some() { None } else { queue.next().cloned() }) {
+        match hub.queue(Queue::claim) {
             Some(entry) => {
-                let _bench = hub.bench.lock().await;
                 carry_out(hub, locks, &entry).await;
+                hub.queue(Queue::let_go);
             }
             None => tokio::select! {
                 () = hub.wake.notified() => {}
@@ -53,12 +63,17 @@ pub async fn work(hub: &Arc<Hub>, locks: &Locks) {
     }
 }
 
-/// Carries one entry out and writes what became of it.
+/// Carries one entry out and writes what became of it; as long as nothing is sent to a device the bench is free for the
+/// safe state.
 async fn carry_out(hub: &Arc<Hub>, locks: &Locks, entry: &Entry) {
-    let begun = begin(hub, entry, Clock::system());
+    let (shared, own) = (Arc::clone(hub), entry.clone());
+    let begun = tokio::task::spawn_blocking(move || begin(&shared, &own, Clock::system())).await;
+    let begun = begun.unwrap_or_else(|e| Err(NotBegun::Failed(format!("a fault of the program itself: {e}"))));
+    let _bench = hub.bench.lock().await;
     let mut begun = match begun {
         Ok(begun) => begun,
-        Err(reason) => {
+        Err(NotBegun::Held) => return,
+        Err(NotBegun::Failed(reason)) => {
             failed(hub, entry, reason.clone());
             if let EntryState::Running { run } = &entry.state {
                 left_behind(hub, run, &reason).await;
@@ -73,7 +88,9 @@ async fn carry_out(hub: &Arc<Hub>, locks: &Locks, entry: &Entry) {
     locks.tell(None);
     hub.set_current(None);
     match ended {
-        Ok((outcome, by_us)) => close(hub, entry, &run, &outcome, by_us),
+        // Held before it could be asked: it is gone on with when the queue is.
+        Ok(None) => tracing::info!(run, "does not begin: the queue is held"),
+        Ok(Some((outcome, by_us))) => close(hub, entry, &run, &outcome, by_us),
         Err(reason) => {
             failed_run(hub, entry, &run, reason.clone());
             hold(hub, format!("the run {run} broke off: {reason}"));
@@ -90,11 +107,16 @@ async fn left_behind(hub: &Arc<Hub>, run: &str, reason: &str) {
     hold(hub, format!("the run {run} was cut short and cannot be gone on with: {reason} ({safe})"));
 }
 
-/// Takes the exposures; gives the outcome and whether the daemon's own end cut the run short.
-async fn measure(hub: &Arc<Hub>, entry: &Entry, begun: &mut Begun) -> Result<(Outcome, bool), String> {
+/// Takes the exposures; gives the outcome and whether the daemon's own end cut the run short. `None` where the queue was
+/// held before the run could be asked.
+async fn measure(hub: &Arc<Hub>, entry: &Entry, begun: &mut Begun) -> Result<Option<(Outcome, bool)>, String> {
     let (sender, verbs) = mpsc::channel(VERBS);
     let events = EventBus::default();
     hub.set_current(Some(current(hub, entry, begun, (sender, events.beats()))));
+    // From here on requests go to the run; what came before them held the queue.
+    if hub.queue(|queue| queue.held().is_some()) {
+        return Ok(None);
+    }
     let follower = tokio::spawn(follow(Arc::clone(hub), begun.run.clone(), events.subscribe()));
     let clock = begun.clock;
     let by_us;
@@ -109,7 +131,7 @@ async fn measure(hub: &Arc<Hub>, entry: &Entry, begun: &mut Begun) -> Result<(Ou
     drop(events);
     // The follower ends with the bus; it has only bounded work left.
     let _ = hub.clock.timeout(Duration::from_secs(5), follower).await;
-    outcome.map(|outcome| (outcome, by_us)).map_err(|failure| failure.messages.join("; "))
+    outcome.map(|outcome| Some((outcome, by_us))).map_err(|failure| failure.messages.join("; "))
 }
 
 /// Never ends while the daemon is at work; then stops the run, and aborts it when asked again or when it takes too
@@ -247,9 +269,12 @@ fn failed_run(hub: &Hub, entry: &Entry, run: &str, reason: String) {
     change(hub, entry.id, |e| e.state = EntryState::Failed { run: Some(run.to_owned()), reason });
 }
 
-/// Changes an entry on the disk and tells everybody. When the state folder cannot be written, nothing more is begun.
-pub(super) fn change(hub: &Hub, id: u32, change: impl FnOnce(&mut Entry)) {
-    match hub.queue(|queue| queue.set(id, change)) {
+/// Changes an entry on the disk and tells everybody; false where it is not on the disk. When the state folder cannot be
+/// written, nothing more is begun.
+pub(super) fn change(hub: &Hub, id: u32, change: impl FnOnce(&mut Entry)) -> bool {
+    let changed = hub.queue(|queue| queue.set(id, change));
+    let written = changed.is_ok();
+    match changed {
         Ok(entry) => hub.tell_entry(&entry),
         Err(e @ DaemonError::NoEntry(_)) => tracing::error!("{e}"),
         Err(e) => {
@@ -259,46 +284,7 @@ pub(super) fn change(hub: &Hub, id: u32, change: impl FnOnce(&mut Entry)) {
             hold(hub, format!("the state folder cannot be written: {e}"));
         }
     }
-}
-
-/// Entries that a crash left as running although their run was over: writes their end. Gives the others a place at
-/// the head of the queue, or, where the instrument does not want that, tells them as failed. True where the bench may
-/// stand as a run left it and no run will take it up.
-fn settle(hub: &Hub) -> bool {
-    let mut left = false;
-    let running: Vec<Entry> =
-        hub.queue(|q| q.entries().filter(|e| matches!(e.state, EntryState::Running { .. })).cloned().collect());
-    for entry in running {
-        let EntryState::Running { run } = &entry.state else { continue };
-        let path = hub.facts.runs_dir.join(run);
-        match status_of(&path) {
-            None if !path.exists() => change(hub, entry.id, |e| e.state = EntryState::Waiting),
-            Some(status) if status.is_finished() => {
-                let ended = Ended {
-                    ending: status.state,
-                    stored: status.stored,
-                    missing: status.missing,
-                    planned: 0,
-                    safe: status.safe,
-                    message: None,
-                };
-                change(hub, entry.id, |e| {
-                    e.state = EntryState::Done { run: run.clone(), outcome: ended };
-                    e.products = if status.stored > 0 { Products::Pending } else { Products::None };
-                });
-            }
-            _ if hub.facts.auto_resume || matches!(entry.work, Work::Resume { .. }) => {
-                left |= hub.queue(|queue| queue.held().is_some());
-            }
-            _ => {
-                left = true;
-                let reason =
-                    format!("the daemon ended in the middle of this run; `goniod resume {run}` goes on with it");
-                change(hub, entry.id, |e| e.state = EntryState::Failed { run: Some(run.clone()), reason });
-            }
-        }
-    }
-    left
+    written
 }
 
 #[cfg(test)]
@@ -307,7 +293,6 @@ mod tests {
     use super::*;
     use crate::control::events::Event;
     use crate::front::daemon::hub::{DaemonEvent, Facts, What};
-    use crate::front::daemon::queue::Queue;
     use goniod_drivers::clock::UtcMicros;
 
     /// The way from a run to the clients may fall behind too: what was lost on it is told, and the rest follows.

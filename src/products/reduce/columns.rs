@@ -18,6 +18,9 @@ use crate::engine::optics::side::Side;
 use crate::products::error::{ProductError, Result, engine};
 use rayon::prelude::*;
 
+/// Views whose disagreement is told one by one.
+const MOST_TOLD: usize = 8;
+
 /// One measured geometry.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Pose {
@@ -179,7 +182,10 @@ impl Maker<'_> {
         known.sort_by_key(|(t, _)| *t);
         let largest = |a: Option<f64>, b: f64| Some(a.map_or(b, |a| a.max(b)));
         let references = self.views.views.iter().filter(|v| v.view.subject == wanted);
-        let scaled = references.filter_map(|v| v.drift_relative_u).fold(None, largest);
+        let scaled = references.clone().filter_map(|v| v.drift_relative_u).fold(None, largest);
+        let of_band = references.filter(|v| v.view.band.as_deref() == Some(&reading.band));
+        let brackets =
+            of_band.map(ReducedView::bracket_relative_u).fold(0.0, f64::max).hypot(view.bracket_relative_u());
         let Some(reference) = at_time(&known, view.utc_us.unwrap_or_default())? else { return Ok(None) };
         let terms = RatioTerms {
             reference_bsdf: value / std::f64::consts::PI,
@@ -188,10 +194,10 @@ impl Maker<'_> {
             theta: pose.incident.theta,
             theta_u: instrument.holder.tilt.tolerance_deg.to_radians() / 3.0_f64.sqrt(),
             // Where the light monitor told the lamp's level, what is left is the uncertainty of both scalings.
-            drift_relative_u: match (view.drift_relative_u, scaled) {
+            drift_relative_u: brackets.hypot(match (view.drift_relative_u, scaled) {
                 (Some(sample), Some(reference)) => sample.hypot(reference),
                 _ => instrument.lamp.drift_relative_uncertainty,
-            },
+            }),
         };
         Ok(Some((reference, terms)))
     }
@@ -209,7 +215,10 @@ impl Maker<'_> {
             vignetting_relative_u: calibration.map_or(0.0, |c| c.vignetting.relative_uncertainty),
             theta: pose.incident.theta,
             theta_u: instrument.holder.tilt.tolerance_deg.to_radians() / 3.0_f64.sqrt(),
-            drift_relative_u: view.drift_relative_u.unwrap_or(instrument.lamp.drift_relative_uncertainty),
+            drift_relative_u: view
+                .drift_relative_u
+                .unwrap_or(instrument.lamp.drift_relative_uncertainty)
+                .hypot(view.bracket_relative_u()),
         }
     }
 
@@ -230,6 +239,7 @@ impl Maker<'_> {
                 unreadable_pixels: dark.unreadable,
             });
         }
+        facts.notes.extend(disagreements(&self.views.views));
         for (name, camera) in &self.run.document.instrument.camera {
             facts.notes.extend(camera.format.caution().map(|caution| format!("camera `{name}`: {caution}")));
         }
@@ -253,6 +263,29 @@ impl Maker<'_> {
         }
         largest
     }
+}
+
+/// Views whose exposures tell different light, a sentence each; beyond the first few only how many.
+fn disagreements(views: &[ReducedView]) -> Vec<String> {
+    let told = |view: &ReducedView| {
+        let a = view.disagreement?;
+        Some(format!(
+            "View {} (camera `{}`, band `{}`): its exposure of {} s tells {:+.1} % light against that of {} s, noise and \
+             response explain {:.1} %; the light changed meanwhile, the uncertainty is widened.",
+            view.view.id,
+            view.view.camera,
+            view.view.band.as_deref().unwrap_or("none"),
+            a.long_s,
+            100.0 * a.change,
+            a.short_s,
+            100.0 * (a.change.abs() - a.unexplained())
+        ))
+    };
+    let mut lines: Vec<String> = views.iter().filter_map(told).collect();
+    let more = lines.len().saturating_sub(MOST_TOLD);
+    lines.truncate(MOST_TOLD);
+    lines.extend((more > 0).then(|| format!("The exposures of {more} more views disagree in the same way.")));
+    lines
 }
 
 /// The view at time `t`: between its neighbours, or the nearest one.

@@ -5,8 +5,11 @@ use super::optics::CameraOptics;
 use super::planes::planes;
 use crate::control::plan::{Step, Subject, View};
 use crate::engine::bsdf::patches::ViewPatches;
+use crate::engine::error::EngineError;
 use crate::engine::optics::pixel_map::PixelMap;
+use crate::engine::radiometry::agreement::{Agreement, agreement};
 use crate::engine::radiometry::dark::Dark;
+use crate::engine::radiometry::levels::Reading;
 use crate::engine::radiometry::merge::{Exposure, merge};
 use crate::engine::radiometry::sums::SumLevel;
 use crate::products::error::{ProductError, Result, engine};
@@ -25,6 +28,17 @@ pub struct ReducedView {
     pub patches: Option<ViewPatches>,
     /// Relative standard uncertainty of that scaling; `None` without light monitor.
     pub drift_relative_u: Option<f64>,
+    /// The two exposures that differ most beyond what noise and response explain; `None` where all agree.
+    pub disagreement: Option<Agreement>,
+}
+
+// === impl ReducedView ===
+
+impl ReducedView {
+    /// Relative standard uncertainty from what the exposures of the bracket disagree: as a rectangular distribution.
+    pub fn bracket_relative_u(&self) -> f64 {
+        self.disagreement.map_or(0.0, |a| a.unexplained() / 3.0_f64.sqrt())
+    }
 }
 
 /// All views of a run.
@@ -50,11 +64,13 @@ pub fn reduce_views(run: &Run, cameras: &BTreeMap<String, CameraOptics>) -> Resu
             let optics = cameras.get(&view.camera).ok_or_else(lost)?;
             let darks = darks.get(&view.camera).ok_or_else(lost)?;
             let frames = frames_of(run, view, brackets.get(&view.id).map_or(&[][..], Vec::as_slice))?;
-            let patches = if frames.is_empty() { None } else { Some(merge_view(view, optics, darks, &frames)?) };
+            let merged = if frames.is_empty() { None } else { Some(merge_view(view, optics, darks, &frames)?) };
+            let (patches, disagreement) = merged.map_or((None, None), |m| (Some(m.patches), m.disagreement));
             let drift = run.drift_factor(view.id);
             let patches = patches.map(|p| drift.map_or_else(|| p.clone(), |drift| p.scaled(drift.factor)));
             let drift_relative_u = drift.map(|drift| drift.relative_u);
-            Ok(ReducedView { view: (*view).clone(), utc_us: run.view_time(view.id), patches, drift_relative_u })
+            let utc_us = run.view_time(view.id);
+            Ok(ReducedView { view: (*view).clone(), utc_us, patches, drift_relative_u, disagreement })
         })
         .collect::<Result<Vec<_>>>()?;
     Ok(ReducedViews { views, darks })
@@ -101,16 +117,29 @@ fn frames_of(run: &Run, view: &View, steps: &[&Step]) -> Result<Vec<Vec<Stored>>
     Ok(frames)
 }
 
-fn merge_view(view: &View, optics: &CameraOptics, darks: &[Dark], frames: &[Vec<Stored>]) -> Result<ViewPatches> {
+/// A merged bracket.
+struct Merged {
+    patches: ViewPatches,
+    disagreement: Option<Agreement>,
+}
+
+fn merge_view(view: &View, optics: &CameraOptics, darks: &[Dark], frames: &[Vec<Stored>]) -> Result<Merged> {
     let map = match &view.subject {
         Subject::Sample { side, .. } if side.flipped() => &optics.flipped,
         _ => &optics.straight,
     };
-    let mut channels = Vec::new();
+    let (mut channels, mut disagreement) = (Vec::new(), None);
     for (dark, colour) in darks.iter().zip(frames) {
-        channels.extend(merge_frames(map, optics, dark, colour).map_err(engine(format!("view {}", view.id)))?.channels);
+        let merged = merge_frames(map, optics, dark, colour).map_err(engine(format!("view {}", view.id)))?;
+        channels.extend(merged.patches.channels);
+        disagreement = worse(disagreement, merged.disagreement);
     }
-    Ok(ViewPatches { channels })
+    Ok(Merged { patches: ViewPatches { channels }, disagreement })
+}
+
+/// The one of two that is explained less.
+fn worse(a: Option<Agreement>, b: Option<Agreement>) -> Option<Agreement> {
+    a.into_iter().chain(b).max_by(|a, b| a.unexplained().total_cmp(&b.unexplained()))
 }
 
 fn merge_frames(
@@ -118,17 +147,24 @@ fn merge_frames(
     optics: &CameraOptics,
     dark: &Dark,
     frames: &[Stored],
-) -> std::result::Result<ViewPatches, crate::engine::error::EngineError> {
+) -> std::result::Result<Merged, EngineError> {
     if is_summed(frames) {
         let levels: Vec<Vec<SumLevel>> = frames.iter().map(Stored::levels).collect();
-        return merge(map, &optics.table, dark, &sums(frames, &levels));
+        return merged(map, optics, dark, &sums(frames, &levels));
     }
     let bytes = eights(frames);
-    if bytes.is_empty() {
-        merge(map, &optics.table, dark, &sixteens(frames))
-    } else {
-        merge(map, &optics.table, dark, &bytes)
-    }
+    if bytes.is_empty() { merged(map, optics, dark, &sixteens(frames)) } else { merged(map, optics, dark, &bytes) }
+}
+
+fn merged<P: Reading>(
+    map: &PixelMap,
+    optics: &CameraOptics,
+    dark: &Dark,
+    exposures: &[Exposure<'_, P>],
+) -> std::result::Result<Merged, EngineError> {
+    let patches = merge(map, &optics.table, dark, exposures)?;
+    let unexplained = agreement(map, &optics.table, dark, exposures).into_iter().filter(|a| a.unexplained() > 0.0);
+    Ok(Merged { patches, disagreement: unexplained.fold(None, |worst, a| worse(worst, Some(a))) })
 }
 
 fn is_summed(frames: &[Stored]) -> bool {
