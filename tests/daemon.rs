@@ -5,7 +5,7 @@
 mod common;
 mod served;
 
-use common::text;
+use common::{Lab, text};
 use served::{Daemon, http, quick_lab, scan_text};
 use std::fs;
 use std::io::{Read, Write};
@@ -18,6 +18,14 @@ fn states(daemon: &Daemon) -> Vec<(u64, String)> {
     let list = daemon.json("GET", "/v1/queue", "");
     let entry = |e: &serde_json::Value| (e["id"].as_u64().unwrap(), e["state"].as_str().unwrap().to_owned());
     list["entries"].as_array().unwrap().iter().map(entry).collect()
+}
+
+/// Puts a scan that takes a while into the queue, and a short one behind it.
+fn add_long_and_next(lab: &Lab, daemon: &Daemon) {
+    for (name, long) in [("long", true), ("next", false)] {
+        let scan = lab.scan(&format!("{name}.toml"), &scan_text(name, long));
+        assert_eq!(daemon.client(&["queue", "add", &text(&scan)]).code, 0);
+    }
 }
 
 fn all_done(daemon: &Daemon, entries: usize) {
@@ -66,10 +74,7 @@ fn a_queue_of_three_is_carried_out_in_order_as_it_was_queued() {
 fn killed_in_mid_run_it_goes_on_with_nothing_lost() {
     let lab = quick_lab(true);
     let daemon = Daemon::start(&lab);
-    for (name, long) in [("long", true), ("next", false)] {
-        let scan = lab.scan(&format!("{name}.toml"), &scan_text(name, long));
-        assert_eq!(daemon.client(&["queue", "add", &text(&scan)]).code, 0);
-    }
+    add_long_and_next(&lab, &daemon);
     let stored = |d: &Daemon| d.json("GET", "/v1/status", "")["run"]["stored"].as_u64().unwrap_or(0);
     daemon.until("a few frames are stored", || stored(&daemon) >= 3);
     let run = daemon.json("GET", "/v1/status", "")["run"]["run"].as_str().unwrap().to_owned();
@@ -91,10 +96,7 @@ fn killed_in_mid_run_it_goes_on_with_nothing_lost() {
 fn a_run_whose_journal_is_damaged_holds_the_queue_and_is_not_begun_again() {
     let lab = quick_lab(true);
     let daemon = Daemon::start(&lab);
-    for (name, long) in [("long", true), ("next", false)] {
-        let scan = lab.scan(&format!("{name}.toml"), &scan_text(name, long));
-        assert_eq!(daemon.client(&["queue", "add", &text(&scan)]).code, 0);
-    }
+    add_long_and_next(&lab, &daemon);
     let run = || daemon.json("GET", "/v1/status", "")["run"].clone();
     daemon.until("a few frames are stored", || run()["stored"].as_u64().unwrap_or(0) >= 3);
     let path = lab.path("runs").join(run()["run"].as_str().unwrap());

@@ -65,11 +65,11 @@ impl Marks {
     /// # Errors
     /// The disk's kinds; the file must then stay as it is.
     pub(super) fn lift(&mut self) -> Result<()> {
-        let (base, folder) = (self.path(BASE), self.folder());
+        let base = self.path(BASE);
         let lift = || {
             let there = base.exists();
             self.disk.discard(&base)?;
-            if there { self.disk.sync_folder(&folder) } else { Ok(()) }
+            if there { self.disk.sync_folder(folder_of(&self.journal)) } else { Ok(()) }
         };
         let before = generation_of(&fs::read(&base).unwrap_or_default());
         let head = generation_of(&fs::read(self.path(HEAD)).unwrap_or_default());
@@ -118,10 +118,6 @@ impl Marks {
         self.disk.discard(&head).map_err(|e| ArchiveError::io("remove", &head, &e))
     }
 
-    fn folder(&self) -> PathBuf {
-        self.journal.parent().unwrap_or(Path::new("")).to_path_buf()
-    }
-
     fn path(&self, name: &str) -> PathBuf {
         self.journal.with_file_name(name)
     }
@@ -134,16 +130,15 @@ impl Marks {
 /// The disk's kinds.
 pub(super) fn accept_end(journal: &Path, disk: &dyn Disk) -> Result<()> {
     let (head, log) = (journal.with_file_name(HEAD), log_of(journal));
+    let settled = |done: std::io::Result<()>| done.and_then(|()| disk.sync_folder(folder_of(journal)));
     let told = read_where_there(&head)?.filter(|bytes| is_own(bytes));
     let own = told.and_then(|bytes| claim(&bytes)).map(|(salts, _)| salts);
     let found = read_where_there(&log)?.and_then(|bytes| Walk::through(&bytes)).map(|walk| walk.salts());
     if own.is_some() && found.is_some() && own != found {
         let aside = disk.rename(&log, &journal.with_file_name(FOREIGN));
-        let aside = aside.and_then(|()| disk.sync_folder(journal.parent().unwrap_or(Path::new(""))));
-        aside.map_err(|e| ArchiveError::io("set aside", &log, &e))?;
+        settled(aside).map_err(|e| ArchiveError::io("set aside", &log, &e))?;
     }
-    let gone = disk.discard(&head).and_then(|()| disk.sync_folder(journal.parent().unwrap_or(Path::new(""))));
-    gone.map_err(|e| ArchiveError::io("remove", &head, &e))
+    settled(disk.discard(&head)).map_err(|e| ArchiveError::io("remove", &head, &e))
 }
 
 /// What is changed in `journal` and its log since they were written; it is not closed, and may be in use.
@@ -151,14 +146,14 @@ pub(super) fn accept_end(journal: &Path, disk: &dyn Disk) -> Result<()> {
 /// # Errors
 /// [`ArchiveError::Io`] and the disk's kinds for a file that cannot be read.
 pub(super) fn check(journal: &Path) -> Result<Vec<Damage>> {
-    let read = |path: PathBuf| read_where_there(&path);
+    let (base_at, head_at, log_at) = (journal.with_file_name(BASE), journal.with_file_name(HEAD), log_of(journal));
     for _ in 0..LOOKS {
         // The head before the log: what it tells is in the log by then.
-        let base = read(journal.with_file_name(BASE))?;
-        let head = read(journal.with_file_name(HEAD))?.unwrap_or_default();
-        let (file, log) = (read(journal.to_path_buf())?, read(log_of(journal))?);
+        let base = read_where_there(&base_at)?;
+        let head = read_where_there(&head_at)?.unwrap_or_default();
+        let (file, log) = (read_where_there(journal)?, read_where_there(&log_at)?);
         // A writer that folded its log meanwhile has set another base.
-        if read(journal.with_file_name(BASE))? == base {
+        if read_where_there(&base_at)? == base {
             let seen = Seen { base, head, journal: file.unwrap_or_default(), log: log.unwrap_or_default() };
             return Ok(judge(&seen));
         }
@@ -235,6 +230,10 @@ fn claim(head: &[u8]) -> Option<([u8; 8], u64)> {
 
 fn number(text: &str, word: usize) -> Option<u64> {
     u64::from_str_radix(text.split(' ').nth(word)?, 16).ok()
+}
+
+fn folder_of(journal: &Path) -> &Path {
+    journal.parent().unwrap_or(Path::new(""))
 }
 
 fn log_of(journal: &Path) -> PathBuf {

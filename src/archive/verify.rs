@@ -194,10 +194,7 @@ fn told(checked: Result<()>, report: &mut Verification) -> Result<()> {
 
 fn check_journal(path: &Path, report: &mut Verification) -> Result<()> {
     let file = path.join(JOURNAL);
-    let seal = match report.sealed {
-        true => fs::read(path.join(SEAL)).map_err(|e| ArchiveError::io("read", &path.join(SEAL), &e))?,
-        false => Vec::new(),
-    };
+    let seal = read_where_there(&path.join(SEAL))?.unwrap_or_default();
     let digest = sha256_of_file(&file).map_err(|e| ArchiveError::io("read", &file, &e))?;
     let journal = Journal::open_read_only(&file)?;
     if !report.sealed {
@@ -371,6 +368,10 @@ mod tests {
         EventRow { seq, utc_us: 5, kind: "frame-stored".to_owned(), json: "{}".to_owned() }
     }
 
+    fn begun(runs: &Path) -> RunDir {
+        RunDir::create(runs, &NewRun { run_id: "r", plan_toml: "", files: &[], layout: &layout() }).unwrap()
+    }
+
     fn closed_run(runs: &Path) -> PathBuf {
         let files = [(PathBuf::from("calibration/ccd.toml"), b"version = 1\n".to_vec())];
         let new = NewRun { run_id: "night", plan_toml: "name = \"x\"\n", files: &files, layout: &layout() };
@@ -451,8 +452,7 @@ mod tests {
     #[test]
     fn a_run_cut_short_is_sound_but_not_whole_until_it_is_gone_on_with() {
         let runs = tempfile::tempdir().unwrap();
-        let new = NewRun { run_id: "night", plan_toml: "", files: &[], layout: &layout() };
-        let run = RunDir::create(runs.path(), &new).unwrap();
+        let run = begun(runs.path());
         run.store(("ccd", 0, 0), &Pixels::U8(vec![9; 16]), row(0), |_| event(0)).unwrap();
         let path = run.path().to_path_buf();
         // Killed between a frame and its row.
@@ -473,9 +473,7 @@ mod tests {
     #[test]
     fn a_run_whose_folder_is_moved_away_takes_no_more_frames_and_makes_no_folder_anew() {
         let runs = tempfile::tempdir().unwrap();
-        let files = [];
-        let new = NewRun { run_id: "r", plan_toml: "", files: &files, layout: &layout() };
-        let run = RunDir::create(runs.path(), &new).unwrap();
+        let run = begun(runs.path());
         let (here, elsewhere) = (run.path().to_path_buf(), runs.path().join("elsewhere"));
         let store = |run: &RunDir, step: u32| {
             let (pixels, told) = (Pixels::U8(vec![1; 16]), event(u64::from(step)));
@@ -520,8 +518,7 @@ mod tests {
     #[test]
     fn a_folder_in_the_place_of_a_frame_is_found_and_named_before_the_run_goes_on() {
         let runs = tempfile::tempdir().unwrap();
-        let new = NewRun { run_id: "r", plan_toml: "", files: &[], layout: &layout() };
-        let run = RunDir::create(runs.path(), &new).unwrap();
+        let run = begun(runs.path());
         run.store(("ccd", 0, 0), &Pixels::U8(vec![9; 16]), row(0), |_| event(0)).unwrap();
         let path = run.path().to_path_buf();
         drop(run);

@@ -76,7 +76,8 @@ impl Unfinished {
     /// run needs its sample again: `sample`, or where the run found it.
     ///
     /// # Errors
-    /// Not a run; a journal, plan or kept file that is not as it was written; as bad input every difference of plan, instrument, calibration and spectra.
+    /// Not a run; a journal, plan or kept file that is not as it was written; as bad input every difference of plan,
+    /// instrument, calibration and spectra.
     pub fn compare(
         path: &Path,
         instrument: &Instrument,

@@ -3,7 +3,7 @@
 use super::entry::{Ended, Entry, EntryState, Products, Work};
 use super::hub::Hub;
 use super::queue::BadEntry;
-use super::worker::change;
+use super::worker::{change, fail};
 use crate::front::runs::{RunStatus, status_of};
 
 /// What the last daemon left.
@@ -30,11 +30,6 @@ pub fn settle(hub: &Hub) -> Left {
     for entry in running {
         let EntryState::Running { run } = &entry.state else { continue };
         let path = hub.facts.runs_dir.join(run);
-        let fail = |reason: &str| {
-            change(hub, entry.id, |e| {
-                e.state = EntryState::Failed { run: Some(run.clone()), reason: reason.to_owned() }
-            })
-        };
         match status_of(&path) {
             None if !path.exists() && !entry.begun => {
                 change(hub, entry.id, |e| e.state = EntryState::Waiting);
@@ -42,7 +37,7 @@ pub fn settle(hub: &Hub) -> Left {
             None if !path.exists() => {
                 let why = format!("its run directory {} is gone: is its disk mounted?", path.display());
                 let reason = format!("{why} When it is back, `goniod resume {run}` goes on with it");
-                fail(&reason);
+                fail(hub, &entry, Some(run), reason);
                 left = Left { bench: true, hold: Some(format!("{run} was cut short; {why}")), ..left };
             }
             Some(status) if status.is_finished() => is_done(hub, &entry, run, status),
@@ -52,7 +47,9 @@ pub fn settle(hub: &Hub) -> Left {
             }
             _ => {
                 left.bench = true;
-                fail(&format!("the daemon ended in the middle of this run; `goniod resume {run}` goes on with it"));
+                let reason =
+                    format!("the daemon ended in the middle of this run; `goniod resume {run}` goes on with it");
+                fail(hub, &entry, Some(run), reason);
             }
         }
     }

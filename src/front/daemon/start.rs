@@ -129,9 +129,7 @@ fn go_on(hub: &Hub, entry: &Entry, run: &str, clock: Clock) -> Result<Begun, Not
         }
         Work::Resume { .. } => (compare_with_now(hub, run).map_err(failed)?, None),
     };
-    if unfinished.document.virtual_time {
-        return Err(failed(format!("{run} is a rehearsal; `goniod resume` goes on with it in virtual time")));
-    }
+    must_be_real(&unfinished, run).map_err(failed)?;
     let mut checked = unfinished.checked();
     if bench.is_some() {
         checked.bench = bench;
@@ -147,6 +145,14 @@ fn compare_with_now(hub: &Hub, run: &str) -> Result<Unfinished, String> {
     let instrument = load::<Instrument>(file, "instrument").map_err(|e| e.to_string())?.value;
     let base = file.parent().unwrap_or(Path::new("/"));
     Unfinished::compare(&hub.facts.runs_dir.join(run), &instrument, base, None).map_err(|f| f.messages.join("; "))
+}
+
+/// A rehearsal has a clock of its own, and the daemon has none for it.
+fn must_be_real(unfinished: &Unfinished, run: &str) -> Result<(), String> {
+    if unfinished.document.virtual_time {
+        return Err(format!("{run} is a rehearsal; `goniod resume` goes on with it in virtual time"));
+    }
+    Ok(())
 }
 
 /// The name, or with a number behind it where a run of this name is there already.
@@ -187,9 +193,5 @@ pub fn check_resumable(hub: &Hub, run: &str) -> Result<(), String> {
     if status.is_finished() {
         return Err(format!("{run} is finished: every exposure is stored or listed as missing"));
     }
-    let unfinished = compare_with_now(hub, run)?;
-    if unfinished.document.virtual_time {
-        return Err(format!("{run} is a rehearsal; `goniod resume` goes on with it in virtual time"));
-    }
-    Ok(())
+    must_be_real(&compare_with_now(hub, run)?, run)
 }

@@ -259,14 +259,19 @@ fn hold(hub: &Hub, why: String) {
 }
 
 fn failed(hub: &Hub, entry: &Entry, reason: String) {
-    let run = entry.run().map(str::to_owned);
     tracing::error!(entry = entry.id, reason, "cannot be carried out");
-    change(hub, entry.id, |e| e.state = EntryState::Failed { run, reason });
+    fail(hub, entry, entry.run(), reason);
 }
 
 fn failed_run(hub: &Hub, entry: &Entry, run: &str, reason: String) {
     tracing::error!(run, reason, "broke off");
-    change(hub, entry.id, |e| e.state = EntryState::Failed { run: Some(run.to_owned()), reason });
+    fail(hub, entry, Some(run), reason);
+}
+
+/// Writes an entry as failed, with its run where there is one.
+pub(super) fn fail(hub: &Hub, entry: &Entry, run: Option<&str>, reason: String) {
+    let run = run.map(str::to_owned);
+    change(hub, entry.id, |e| e.state = EntryState::Failed { run, reason });
 }
 
 /// Changes an entry on the disk and tells everybody; false where it is not on the disk. When the state folder cannot be
