@@ -5,7 +5,9 @@ GONIOD := target/debug/goniod
 FEATURES ?= --all-features
 RUNS ?= runs/demo
 
-.PHONY: demo test hil check setup setup-python build validate bench soak soak-cameras soak-devices clean
+PROGRAM ?= target/release/goniod
+
+.PHONY: demo test hil check setup setup-python build release install validate bench soak soak-cameras soak-devices clean
 
 ## Measure a simulated sample and show where the products are.
 demo: build
@@ -47,6 +49,21 @@ soak: setup
 
 build: setup
 	cargo build $(FEATURES)
+
+release: setup
+	cargo build --release $(FEATURES)
+
+## Program, units, rules and documents where Debian looks for them; `DESTDIR=…` for a package. See docs/installing.md.
+install:
+	install -D -m 755 $(PROGRAM) $(DESTDIR)/usr/bin/goniod
+	install -D -m 644 -t $(DESTDIR)/usr/lib/systemd/system systemd/*.service
+	install -D -m 644 systemd/sysusers.conf $(DESTDIR)/usr/lib/sysusers.d/goniod.conf
+	install -D -m 644 systemd/tmpfiles.conf $(DESTDIR)/usr/lib/tmpfiles.d/goniod.conf
+	install -D -m 644 systemd/sysctl.conf $(DESTDIR)/usr/lib/sysctl.d/60-goniod.conf
+	install -D -m 644 -t $(DESTDIR)/usr/lib/udev/rules.d systemd/70-goniod.rules
+	install -D -m 644 -t $(DESTDIR)/usr/share/doc/goniod docs/*.md
+	mkdir -p $(DESTDIR)/usr/share/goniod
+	cp -r --no-preserve=ownership config $(DESTDIR)/usr/share/goniod
 
 setup:
 	bash tests/setup.sh packages

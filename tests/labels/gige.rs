@@ -66,8 +66,6 @@ fn with_gige_camera(lab: &Lab, address: Ipv4Addr) -> PathBuf {
     let camera = camera.replacen("shortest_s = 0.000001", "shortest_s = 0.00002", 1);
     // With a software trigger the twin has no old frames.
     let camera = camera.replacen("discard_frames = 1", "discard_frames = 0", 1);
-    let table = "[camera.ingaas.aravis]\npacket_socket = false\n\n[optics]";
-    let camera = camera.replacen("[optics]", table, 1);
     std::fs::write(&path, format!("{head}[camera.ingaas]{camera}")).unwrap();
     path
 }

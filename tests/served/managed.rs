@@ -24,12 +24,11 @@ impl Machine {
         for name in ["layers", "root"] {
             fs::create_dir(folder.path().join(name)).unwrap();
         }
-        let (units, config) = (text(&root().join("systemd")), text(&lab.path("config")));
+        let (house, config) = (text(root()), text(&lab.path("config")));
         let program = env!("CARGO_BIN_EXE_goniod");
         let install = format!(
-            "set -e\ncd \"$1\"\ncp {program} usr/bin/goniod\ncp {units}/*.service etc/systemd/system/\n\
-             mkdir -p usr/lib/sysusers.d usr/lib/tmpfiles.d etc/systemd/system/goniod.service.d\n\
-             cp {units}/sysusers.conf usr/lib/sysusers.d/goniod.conf\ncp {units}/tmpfiles.conf usr/lib/tmpfiles.d/goniod.conf\n\
+            "set -e\nmake -C {house} install DESTDIR=\"$1\" PROGRAM={program}\ncd \"$1\"\n\
+             mkdir -p etc/systemd/system/goniod.service.d\n\
              cp -r {config} etc/goniod\nmv etc/goniod/instrument.sim.toml etc/goniod/instrument.toml\n\
              printf '{}' >etc/systemd/system/goniod.service.d/test.conf\n",
             WATCHDOG.replace('\n', "\\n")

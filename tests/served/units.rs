@@ -50,6 +50,43 @@ fn the_units_are_read_by_systemd_without_a_word() {
 }
 
 #[test]
+fn make_install_brings_every_file_that_the_units_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut make = Command::new("make");
+    make.arg("-C").arg(root()).args(["install", concat!("PROGRAM=", env!("CARGO_BIN_EXE_goniod"))]);
+    let done = make.arg(format!("DESTDIR={}", text(folder.path()))).output().unwrap();
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    let mut named = BTreeSet::new();
+    for unit in fs::read_dir(folder.path().join("usr/lib/systemd/system")).unwrap() {
+        let unit = fs::read_to_string(unit.unwrap().path()).unwrap();
+        let of = |key: &str| -> Vec<String> {
+            let lines = unit.lines().filter_map(|line| line.strip_prefix(key));
+            lines.map(|line| line.split(' ').next().unwrap().to_owned()).collect()
+        };
+        named.extend(of("Documentation=file:"));
+        named.extend(of("ExecStart="));
+    }
+    assert!(named.len() >= 3, "{named:?}");
+    named.extend(
+        ["sysusers.d/goniod.conf", "tmpfiles.d/goniod.conf", "sysctl.d/60-goniod.conf"]
+            .map(|f| format!("/usr/lib/{f}")),
+    );
+    named.insert("/usr/share/goniod/config/instrument.example.toml".to_owned());
+    for file in named {
+        assert!(folder.path().join(file.trim_start_matches('/')).is_file(), "{file} is not installed");
+    }
+}
+
+#[cfg(feature = "aravis")]
+#[test]
+fn the_kernel_is_told_to_grant_the_socket_buffer_that_a_camera_asks_for() {
+    let asked = goniod_drivers::devices::aravis::AravisOptions::new("camera", "", "").socket_buffer_bytes;
+    let sysctl = fs::read_to_string(root().join("systemd/sysctl.conf")).unwrap();
+    let granted = sysctl.lines().find_map(|line| line.strip_prefix("net.core.rmem_max = ")).unwrap();
+    assert!(granted.parse::<i32>().unwrap() >= asked, "{granted} for {asked}");
+}
+
+#[test]
 fn the_units_call_commands_that_there_are_and_wait_long_enough() {
     let lab = quick_lab(false);
     for unit in ["goniod.service", "goniod-safe.service"] {

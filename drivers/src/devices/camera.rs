@@ -108,8 +108,6 @@ pub struct AravisTable {
     pub heartbeat_s: Option<f64>,
     /// Receive buffer of the stream's socket, bytes; absent = 4 MiB.
     pub socket_buffer_bytes: Option<u32>,
-    /// False: never a packet socket, even where the process may use one; absent = true.
-    pub packet_socket: Option<bool>,
     /// How long an incomplete frame is waited for, seconds; absent = 0.5.
     pub frame_retention_s: Option<f64>,
     /// Ask for integration time and number in the frame itself, where the camera offers it; absent = true.

@@ -46,9 +46,10 @@ pub fn sensor(width: u32, height: u32, format: PixelCode) -> Sensor {
     Sensor { width, height, format, ..Sensor::default() }
 }
 
-/// Options that fit `twin` after `change`.
+/// Options that fit `twin` after `change`; patient, since a busy machine can hold a thread for seconds.
 pub fn options(twin: &GigeTwin, change: impl FnOnce(&mut AravisOptions)) -> AravisOptions {
     let mut options = AravisOptions::new("camera.ingaas", &twin.address(), "SU320-0042");
+    options.margin = std::time::Duration::from_secs(10);
     change(&mut options);
     options
 }

@@ -123,7 +123,7 @@ async fn no_label_is_wrong_with_a_software_trigger() {
     let twin = twin(|_| {});
     let format = WireFormat::Mono12p;
     let mut camera = open(options(&twin, |o| {
-        (o.discard_frames, o.format, o.packet_socket) = (6, format, false);
+        (o.discard_frames, o.format) = (6, format);
         o.frame_retention = RETENTION;
     }))
     .await;

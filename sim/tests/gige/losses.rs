@@ -10,11 +10,13 @@ use tokio::time::Instant;
 
 const EXPOSURE_US: u64 = 200_000;
 const READOUT: Duration = Duration::from_millis(50);
+/// What a frame may be late: that much later a dead camera is noticed.
+const MARGIN: Duration = Duration::from_millis(1_500);
 
 /// A twin whose exposures take their time, and its driver with a good frame behind it.
 async fn measuring() -> (GigeTwin, AravisCamera) {
     let twin = twin(|c| (c.real_exposure, c.readout) = (true, Duration::from_millis(5)));
-    let mut camera = open(options(&twin, |o| o.readout = READOUT)).await;
+    let mut camera = open(options(&twin, |o| (o.readout, o.margin) = (READOUT, MARGIN))).await;
     let frame = snap(&mut camera, EXPOSURE_US).await.unwrap();
     right(&frame);
     (twin, camera)
@@ -178,7 +180,7 @@ async fn a_stuck_call_is_abandoned_and_replaced() {
 async fn a_camera_that_is_not_there_is_named_with_what_to_check() {
     let _alone = alone().await;
     let mut twin = twin(|_| {});
-    let mut camera = AravisCamera::new(options(&twin, |_| {}), goniod_drivers::clock::Clock::system());
+    let mut camera = AravisCamera::new(options(&twin, |o| o.margin = MARGIN), goniod_drivers::clock::Clock::system());
     twin.kill();
     let error = camera.open().await.unwrap_err();
     assert_eq!(error.kind, ErrorKind::Lost);

@@ -9,4 +9,5 @@ mod clients;
 mod labels;
 mod link;
 mod losses;
+mod strays;
 mod streaming;

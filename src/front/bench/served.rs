@@ -203,7 +203,6 @@ fn through_gige(camera: &mut Camera, address: &str) {
     table.frame_rate_hz = None;
     table.packing = None;
     table.cooler = None;
-    table.packet_socket = Some(false);
     table.margin_s = Some(table.margin_s.unwrap_or(0.0).max(MARGIN_S));
     camera.aravis = Some(table);
     // With a software trigger the twin has no old frames and never restarts its stream.

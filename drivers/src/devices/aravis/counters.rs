@@ -30,11 +30,11 @@ pub struct Counts {
     pub incomplete: u64,
     /// Frames thrown away because they were taken before an `arm`.
     pub drained: u64,
-    /// Packets asked for again, in the session now open.
+    /// Packets asked for again.
     pub resent_packets: u64,
-    /// Packets that never came, in the session now open.
+    /// Packets that never came.
     pub missing_packets: u64,
-    /// Frames the library had no buffer for, in the session now open.
+    /// Frames the library had no buffer for.
     pub underruns: u64,
     /// Times the camera was opened.
     pub opened: u64,

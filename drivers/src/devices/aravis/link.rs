@@ -3,6 +3,7 @@
 use super::counters::{Counters, tick};
 use super::opening;
 use super::options::AravisOptions;
+use super::reception::Filled;
 use super::session::{ArmPoint, Delivered, Outlet, Session};
 use crate::clock::Clock;
 use crate::contract::{CameraInfo, CameraSettings, Health};
@@ -176,24 +177,23 @@ impl Owner {
         // Instants of frames are those of the runtime's clock.
         let runtime = self.runtime.clone();
         let _entered = runtime.enter();
-        let session = opening::open(&self.options);
-        match session {
+        let Owner { options, outlet, inbox, wake, lost, abandoned, .. } = self;
+        let counters = Arc::clone(&outlet.counters);
+        // These run on threads of the library: they only post.
+        let filled: Filled = Arc::new(move || drop(wake.try_send(Message::Filled)));
+        let lost = move || {
+            lost.send_replace(true);
+        };
+        match opening::open(&options).and_then(|device| Session::new(device, options, outlet, filled, lost)) {
             Err(error) => {
                 let _ = opened.send(Err(error));
             }
-            Ok(session) => {
-                tick(&self.outlet.counters.opened);
-                let Owner { options, outlet, inbox, wake, lost, abandoned, .. } = self;
-                let mut session = Session::new(session, options, outlet);
-                // These run on threads of the library: they only post.
-                let filled = move || drop(wake.try_send(Message::Filled));
-                let signals = session.connect(filled, move || {
-                    lost.send_replace(true);
-                });
+            Ok(mut session) => {
+                tick(&counters.opened);
                 if opened.send(Ok(session.info().clone())).is_ok() {
                     serve(&mut session, &inbox, &abandoned);
                 }
-                session.close(signals);
+                session.close();
             }
         }
     }

@@ -15,6 +15,7 @@ mod link;
 mod opening;
 mod options;
 mod raw;
+mod reception;
 mod session;
 mod wire_format;
 

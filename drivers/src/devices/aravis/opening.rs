@@ -1,4 +1,4 @@
-//! Opening a camera: identity, control, every feature written and read back, the stream with its buffers.
+//! Opening a camera: identity, control, every feature written and read back.
 
 use super::features::Features;
 use super::options::{AravisOptions, Trigger};
@@ -7,22 +7,15 @@ use crate::error::{DeviceError, ErrorKind, Result};
 use crate::units::ExposureTime;
 use aravis::glib::object::Cast;
 use aravis::prelude::*;
-use aravis::{
-    AccessCheckPolicy, Buffer, Camera, GvDevice, GvStream, GvStreamOption, GvStreamPacketResend, GvStreamSocketBuffer,
-    RangeCheckPolicy, RegisterCachePolicy, Stream, glib,
-};
+use aravis::{AccessCheckPolicy, Camera, GvDevice, GvStreamOption, RangeCheckPolicy, RegisterCachePolicy};
 use std::time::Duration;
 
 /// How often and how long to ask for control: a camera keeps a vanished controller for its heartbeat time.
 const CONTROL_TRIES: u32 = 20;
 const CONTROL_PAUSE: Duration = Duration::from_millis(200);
-/// Linux capability that lets a process receive past UDP socket buffers.
-const CAP_NET_RAW: u32 = 13;
 
 /// A camera that is open, proven and configured, not yet running.
 pub struct Opened {
-    /// The library's camera. Field order is drop order: stream before camera.
-    pub stream: Stream,
     /// The library's camera.
     pub camera: Camera,
     /// Its features.
@@ -65,7 +58,6 @@ pub fn open(options: &AravisOptions) -> Result<Opened> {
         .device()
         .float_feature_bounds(exposure)
         .map_err(|e| features.wrap("reading the range of the integration time", &e))?;
-    let stream = make_stream(&camera, &features, options)?;
     let info = CameraInfo {
         identity,
         width: options.width,
@@ -74,7 +66,7 @@ pub fn open(options: &AravisOptions) -> Result<Opened> {
         shortest: ExposureTime(shortest.ceil().max(0.0) as u64),
         longest: ExposureTime(longest.floor().max(0.0) as u64),
     };
-    Ok(Opened { stream, camera, features, info, exposure, gain, warnings })
+    Ok(Opened { camera, features, info, exposure, gain, warnings })
 }
 
 fn identify(features: &Features, options: &AravisOptions) -> Result<Identity> {
@@ -120,25 +112,17 @@ fn prepare_link(camera: &Camera, features: &Features, options: &AravisOptions) -
         let delay = i64::from(options.packet_delay_ns);
         camera.gv_set_packet_delay(delay).map_err(|e| features.wrap("setting the packet delay", &e))?;
     }
-    let raw_allowed = options.packet_socket && may_use_packet_sockets();
-    gv.set_stream_options(if raw_allowed { GvStreamOption::NONE } else { GvStreamOption::PACKET_SOCKET_DISABLED });
+    // A packet socket hears the whole host until its filter is set: packets of another camera came into our frames.
+    gv.set_stream_options(GvStreamOption::PACKET_SOCKET_DISABLED);
     let granted = largest_socket_buffer();
     let mut warnings = Vec::new();
-    if !raw_allowed && granted.is_some_and(|bytes| bytes < i64::from(options.socket_buffer_bytes)) {
+    if let Some(bytes) = granted.filter(|bytes| *bytes < i64::from(options.socket_buffer_bytes)) {
         warnings.push(format!(
-            "the kernel grants {} bytes of socket buffer of {} wanted: raise net.core.rmem_max or give CAP_NET_RAW",
-            granted.unwrap_or_default(),
+            "the kernel grants {bytes} bytes of socket buffer of {} wanted: raise net.core.rmem_max",
             options.socket_buffer_bytes
         ));
     }
     Ok(warnings)
-}
-
-fn may_use_packet_sockets() -> bool {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let effective = status.lines().find_map(|l| l.strip_prefix("CapEff:"));
-    let bits = effective.and_then(|hex| u64::from_str_radix(hex.trim(), 16).ok()).unwrap_or(0);
-    bits >> CAP_NET_RAW & 1 == 1
 }
 
 fn largest_socket_buffer() -> Option<i64> {
@@ -211,30 +195,4 @@ fn configure_chunks(f: &Features) -> Result<()> {
         }
     }
     Ok(())
-}
-
-fn make_stream(camera: &Camera, features: &Features, options: &AravisOptions) -> Result<Stream> {
-    let wrap = |doing: &str, e: &glib::Error| features.wrap(doing, e);
-    let payload = camera.payload().map_err(|e| wrap("reading the payload size", &e))?;
-    let image = options.format.bytes(options.width * options.height);
-    if (payload as usize) < image {
-        let message =
-            format!("blocks of {payload} bytes cannot hold a picture of {image}; check width, height and format");
-        return Err(features.fail(ErrorKind::WrongDevice, message));
-    }
-    let stream = camera.create_stream().map_err(|e| wrap("opening the stream", &e))?;
-    if let Some(gv) = stream.downcast_ref::<GvStream>() {
-        // Before the first buffer: the default of 208 KiB loses nearly every frame of an unpaced sender.
-        gv.set_socket_buffer(GvStreamSocketBuffer::Fixed);
-        gv.set_socket_buffer_size(options.socket_buffer_bytes);
-        gv.set_packet_resend(GvStreamPacketResend::Always);
-        gv.set_packet_request_ratio(1.0);
-        // A camera remembers few frames: what was lost must be asked for again soon.
-        gv.set_packet_timeout(5_000);
-        gv.set_frame_retention(options.frame_retention.as_micros() as u32);
-    }
-    for _ in 0..options.buffers.max(2) {
-        stream.push_buffer(Buffer::new_allocate(payload as usize));
-    }
-    Ok(stream)
 }

@@ -59,8 +59,6 @@ pub struct AravisOptions {
     pub heartbeat: Duration,
     /// Receive buffer of the stream's UDP socket.
     pub socket_buffer_bytes: i32,
-    /// False: never use a packet socket, even where the process may (needs CAP_NET_RAW).
-    pub packet_socket: bool,
     /// How long an incomplete frame is waited for before it is given up; later frames wait behind it.
     pub frame_retention: Duration,
     /// Buffers the camera library fills.
@@ -94,7 +92,6 @@ impl AravisOptions {
             packet_delay_ns: 0,
             heartbeat: Duration::from_secs(3),
             socket_buffer_bytes: 4 << 20,
-            packet_socket: true,
             frame_retention: Duration::from_millis(500),
             buffers: 16,
             frames_in_flight: 16,
@@ -136,7 +133,6 @@ impl AravisOptions {
             packet_delay_ns: table.packet_delay_ns.unwrap_or(plain.packet_delay_ns),
             heartbeat: seconds(table.heartbeat_s, plain.heartbeat),
             socket_buffer_bytes: table.socket_buffer_bytes.map_or(plain.socket_buffer_bytes, |b| b as i32),
-            packet_socket: table.packet_socket.unwrap_or(plain.packet_socket),
             frame_retention: seconds(table.frame_retention_s, plain.frame_retention),
             chunks: table.chunks.unwrap_or(plain.chunks),
             cooler: table.cooler.map(|c| Cooler { feature: c.feature, good: c.good }),

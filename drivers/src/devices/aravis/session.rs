@@ -6,6 +6,7 @@ use super::frame_clock::{FrameCounter, Mark};
 use super::opening::Opened;
 use super::options::{AravisOptions, Trigger};
 use super::raw;
+use super::reception::{Filled, LinkCounts, Reception, emission_ended};
 use crate::clock::Clock;
 use crate::contract::{CameraInfo, CameraSettings, Health};
 use crate::error::{ErrorKind, Result};
@@ -14,20 +15,15 @@ use crate::units::ExposureTime;
 use aravis::glib::SignalHandlerId;
 use aravis::glib::object::{Cast, ObjectExt};
 use aravis::prelude::*;
-use aravis::{Buffer, BufferStatus, Camera, ChunkParser, GvDevice, GvStream, Stream};
+use aravis::{Buffer, BufferStatus, Camera, ChunkParser, GvDevice};
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
-use std::time::Duration;
+use std::sync::atomic::{AtomicU64, Ordering};
 use tokio::sync::OwnedSemaphorePermit;
 use tokio::sync::mpsc::Sender;
 use tokio::time::Instant;
 
 /// Control channel privilege (GigE Vision bootstrap register).
 const PRIVILEGE: u64 = 0x0a00;
-
-/// How often and how long an emission under way is waited for at closing.
-const EMISSION_TRIES: u32 = 2_000;
-const EMISSION_PAUSE: Duration = Duration::from_millis(1);
 
 /// A frame with the number of the `arm` it belongs to.
 pub struct Delivered {
@@ -60,14 +56,6 @@ pub struct Outlet {
     pub clock: Clock,
 }
 
-/// Signals connected, and how often the objects were held before.
-pub struct Signals {
-    new_buffer: SignalHandlerId,
-    control_lost: SignalHandlerId,
-    stream_holds: u32,
-    device_holds: u32,
-}
-
 /// When settings changed: on the device's own clock where it can be read. The host's idea of a device time is late by
 /// as much as the latch took, so across two latches the order of frame and change could turn.
 #[derive(Debug, Clone, Copy)]
@@ -76,9 +64,13 @@ enum Change {
     Host(Instant),
 }
 
-/// One open camera.
+/// One open camera. Field order is drop order: the stream before the camera.
 pub struct Session {
-    stream: Stream,
+    reception: Option<Reception>,
+    filled: Filled,
+    told: LinkCounts,
+    control_lost: SignalHandlerId,
+    device_holds: u32,
     camera: Camera,
     features: Features,
     info: CameraInfo,
@@ -104,18 +96,35 @@ pub struct Session {
 // === impl Session ===
 
 impl Session {
-    /// A session over an opened camera.
-    pub fn new(opened: Opened, options: AravisOptions, outlet: Outlet) -> Session {
-        let Opened { stream, camera, features, info, exposure, gain, warnings } = opened;
+    /// A session over an opened camera. `filled` and `lost` are called on threads of the library.
+    ///
+    /// # Errors
+    /// Those of [`Reception::new`].
+    pub fn new(
+        opened: Opened,
+        options: AravisOptions,
+        outlet: Outlet,
+        filled: Filled,
+        lost: impl Fn() + Send + 'static,
+    ) -> Result<Session> {
+        let Opened { camera, features, info, exposure, gain, warnings } = opened;
         let chunked = options.chunks && features.has("ChunkModeActive");
         let latch = [("TimestampLatch", "TimestampLatchValue"), ("GevTimestampControlLatch", "GevTimestampValue")]
             .into_iter()
             .find(|(command, value)| features.has(command) && features.has(value));
         let ticks = features.device().downcast_ref::<GvDevice>().and_then(|gv| gv.timestamp_tick_frequency().ok());
-        Session {
-            chunks: if chunked { features.device().create_chunk_parser() } else { None },
+        let chunks = if chunked { features.device().create_chunk_parser() } else { None };
+        // Before the stream: it holds the device too, and is closed first.
+        let device_holds = features.device().ref_count();
+        let reception = Reception::new(&camera, &features, &options, &filled)?;
+        Ok(Session {
+            control_lost: features.device().connect_control_lost(move |_| lost()),
+            device_holds,
+            reception: Some(reception),
+            told: LinkCounts::default(),
+            filled,
+            chunks,
             ns_per_tick: ticks.filter(|f| *f > 0).map_or(1.0, |f| 1e9 / f as f64),
-            stream,
             camera,
             features,
             info,
@@ -134,7 +143,7 @@ impl Session {
             running: false,
             triggered: false,
             outlet,
-        }
+        })
     }
 
     /// What the camera is.
@@ -239,6 +248,9 @@ impl Session {
     }
 
     fn start(&mut self) -> Result<()> {
+        if self.reception.is_none() {
+            self.reception = Some(Reception::new(&self.camera, &self.features, &self.options, &self.filled)?);
+        }
         self.counter.restarted();
         self.camera.start_acquisition().map_err(|e| self.features.wrap("starting acquisition", &e))?;
         self.running = true;
@@ -252,10 +264,12 @@ impl Session {
             return Ok(());
         }
         self.camera.stop_acquisition().map_err(|e| self.features.wrap("stopping acquisition", &e))?;
-        // The receive thread takes block ids that begin at 1 again for late ones of the old run, unless it begins anew.
-        self.stream.stop_thread(false);
         self.drain();
-        self.stream.start_thread();
+        self.count_link();
+        if let Some(reception) = self.reception.take() {
+            self.told = LinkCounts::default();
+            reception.close();
+        }
         self.running = false;
         self.triggered = false;
         Ok(())
@@ -264,13 +278,14 @@ impl Session {
     /// Throws filled buffers away; says how many.
     fn drain(&mut self) -> u32 {
         let mut drained = 0;
-        while let Some(buffer) = self.stream.try_pop_buffer() {
+        let Some(reception) = &self.reception else { return 0 };
+        while let Some(buffer) = reception.pop() {
             if buffer.frame_id() != 0 {
                 self.counter.count(buffer.frame_id());
                 tick(&self.outlet.counters.drained);
                 drained += 1;
             }
-            self.stream.push_buffer(buffer);
+            reception.push(buffer);
         }
         drained
     }
@@ -279,7 +294,7 @@ impl Session {
     pub fn pump(&mut self) -> bool {
         loop {
             let Some((used, permit)) = self.outlet.pool.try_take() else { return true };
-            let Some(buffer) = self.stream.try_pop_buffer() else { return false };
+            let Some(buffer) = self.reception.as_ref().and_then(Reception::pop) else { return false };
             self.deliver(buffer, used, permit);
         }
     }
@@ -287,7 +302,7 @@ impl Session {
     fn deliver(&mut self, buffer: Buffer, used: Option<Pixels>, permit: OwnedSemaphorePermit) {
         let whole = buffer.status() == BufferStatus::Success && self.fits(&buffer);
         if buffer.frame_id() == 0 {
-            self.stream.push_buffer(buffer);
+            self.give_back(buffer);
             return;
         }
         let format = self.options.format;
@@ -296,7 +311,7 @@ impl Session {
         let damaged = pixels.is_none();
         let info = self.describe(&buffer, damaged);
         let stamp = buffer.timestamp();
-        self.stream.push_buffer(buffer);
+        self.give_back(buffer);
         self.triggered = false;
         let counters = &self.outlet.counters;
         tick(if damaged { &counters.incomplete } else { &counters.complete });
@@ -313,6 +328,12 @@ impl Session {
         let frame = self.outlet.pool.frame(info, pixels, Some(permit));
         // The channel is as deep as the pool: it is full only when nobody listens any more.
         let _ = self.outlet.frames.try_send(Delivered { frame, generation: self.generation });
+    }
+
+    fn give_back(&self, buffer: Buffer) {
+        if let Some(reception) = &self.reception {
+            reception.push(buffer);
+        }
     }
 
     fn fits(&self, buffer: &Buffer) -> bool {
@@ -348,34 +369,15 @@ impl Session {
         }
     }
 
-    /// Closes the camera, so that no thread of the library lets go of an object last.
-    ///
-    /// A signal in emission holds its object. Were that the last hold, the object would be torn down by its own heartbeat
-    /// or receive thread, which then waits for itself: the library ends the whole process. So the signals are disconnected
-    /// and an emission under way is waited for; one that never ends leaves the objects alive for good.
-    pub fn close(self, signals: Signals) {
-        self.stream.set_emit_signals(false);
-        self.stream.disconnect(signals.new_buffer);
-        self.features.device().disconnect(signals.control_lost);
-        for _ in 0..EMISSION_TRIES {
-            let emitting = self.stream.ref_count() > signals.stream_holds
-                || self.features.device().ref_count() > signals.device_holds;
-            if !emitting {
-                return;
-            }
-            std::thread::park_timeout(EMISSION_PAUSE);
+    /// Closes the camera, so that no thread of the library lets go of an object last ([`emission_ended`]). An emission that
+    /// never ends leaves the objects alive for good.
+    pub fn close(mut self) {
+        let received = self.reception.take().is_none_or(Reception::close);
+        self.features.device().disconnect(self.control_lost);
+        if !received || !emission_ended(self.features.device(), self.device_holds) {
+            tracing::warn!(camera = %self.options.label(), "a signal of the camera library never ended; its objects stay");
+            std::mem::forget((self.features, self.camera));
         }
-        tracing::warn!(camera = %self.options.label(), "a signal of the camera library never ended; its objects stay");
-        std::mem::forget(self);
-    }
-
-    /// Connects the library's signals: `filled` and `lost` are called on threads of the library.
-    pub fn connect(&self, filled: impl Fn() + Send + 'static, lost: impl Fn() + Send + 'static) -> Signals {
-        let (stream_holds, device_holds) = (self.stream.ref_count(), self.features.device().ref_count());
-        let new_buffer = self.stream.connect_new_buffer(move |_| filled());
-        self.stream.set_emit_signals(true);
-        let control_lost = self.features.device().connect_control_lost(move |_| lost());
-        Signals { new_buffer, control_lost, stream_holds, device_holds }
     }
 
     /// Temperature, cooler, link.
@@ -404,15 +406,16 @@ impl Session {
         Ok(health)
     }
 
-    /// Copies the library's statistics into the counters.
-    pub fn count_link(&self) {
+    /// Brings the counters up to the library's statistics, which begin at 0 with each stream.
+    pub fn count_link(&mut self) {
+        let Some(now) = self.reception.as_ref().map(Reception::counts) else { return };
         let counters = &self.outlet.counters;
-        let (_, _, underruns) = self.stream.statistics();
-        counters.underruns.store(underruns, Ordering::Relaxed);
-        if let Some(gv) = self.stream.downcast_ref::<GvStream>() {
-            let (resent, missing) = gv.statistics();
-            counters.resent_packets.store(resent, Ordering::Relaxed);
-            counters.missing_packets.store(missing, Ordering::Relaxed);
-        }
+        let add = |counter: &AtomicU64, now: u64, told: u64| {
+            counter.fetch_add(now.saturating_sub(told), Ordering::Relaxed);
+        };
+        add(&counters.resent_packets, now.resent_packets, self.told.resent_packets);
+        add(&counters.missing_packets, now.missing_packets, self.told.missing_packets);
+        add(&counters.underruns, now.underruns, self.told.underruns);
+        self.told = now;
     }
 }
