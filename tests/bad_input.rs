@@ -324,3 +324,68 @@ fn a_disk_too_small_for_the_night_is_refused_before_it_begins() {
         assert!(said.out.ends_with("left:\n"), "{}", said.out);
     }
 }
+
+/// The rows of a shipped table at the wavelengths that `keep` wants, changed by `change`.
+fn retable(lab: &Lab, file: &str, keep: impl Fn(f64) -> bool, change: impl Fn(&str) -> String) {
+    let path = lab.path("config/spectra").join(file);
+    let old = std::fs::read_to_string(&path).unwrap();
+    let wavelength = |row: &str| row.split(',').next().and_then(|cell| cell.parse::<f64>().ok());
+    let rows = old.lines().filter(|row| wavelength(row).is_none_or(&keep));
+    let new = rows.map(|row| if wavelength(row).is_some() { change(row) } else { row.to_owned() } + "\n");
+    std::fs::write(&path, new.collect::<String>()).unwrap();
+}
+
+/// A table that ends within a band gives wrong numbers that nobody sees in the morning; it is told before the night.
+#[test]
+fn spectra_that_do_not_cover_what_the_bands_see() {
+    let same = |row: &str| row.to_owned();
+    type Damage<'a> = &'a dyn Fn(&Lab);
+    let damages: [(Damage<'_>, &[&str]); 7] = [
+        (
+            &|lab| retable(lab, "reference/opal_flat50.csv", |nm| nm < 600.0, same),
+            &[
+                "reference.transmission.spectrum covers 300 to 595 nm",
+                "% of what band `f5`, channel 0, sees lies outside",
+            ],
+        ),
+        (
+            &|lab| retable(lab, "reference/opal_flat50.csv", |_| true, |row| row.replace(",0.5", ",0.0")),
+            &[
+                "reference.transmission.spectrum is not above 0 where band `f5`",
+                "correct the table or leave the band out",
+            ],
+        ),
+        (
+            &|lab| retable(lab, "mirror/aluminium_evaporated_best.csv", |nm| nm > 620.0, same),
+            &["optics.mirror_reflectance covers 6", "band `f5`", "give a table that covers it"],
+        ),
+        (
+            &|lab| retable(lab, "source/hmi_model_300_1700.csv", |nm| nm < 600.0, same),
+            &["lamp.spectrum covers 300 to 595 nm, but band `f5` is 550 to 640 nm", "leave the band out"],
+        ),
+        (
+            &|lab| retable(lab, "filter/coloured_glass_model_tau1mm.csv", |nm| nm < 600.0, same),
+            &["the glass `OG570` covers", "band `f5` is 550 to 640 nm"],
+        ),
+        (
+            &|lab| retable(lab, "camera/ccd_rgb_asr_model.csv", |nm| nm < 600.0, same),
+            &["responsivity of camera `ccd`, channel 0, covers 360 to 595 nm", "band `f5` is 550 to 640 nm"],
+        ),
+        (
+            &|lab| lab.edit("instrument.sim.toml", &[("[550.0, 640.0]", "[800.0, 900.0]")], true),
+            &["band `f5`: only 0 % of what its camera sees", "interval_nm, 800 to 900 nm", "correct the interval"],
+        ),
+    ];
+    for (damage, words) in damages {
+        let lab = Lab::small();
+        let scan = lab.scan("bad.toml", SCAN);
+        damage(&lab);
+        for name in ["check", "rehearse", "run"] {
+            told(&command(&lab, name, &scan, &[]), BAD_INPUT, words);
+        }
+    }
+    let lab = Lab::small();
+    retable(&lab, "reference/spectralon99_model.csv", |nm| nm < 600.0, same);
+    let said = lab.goniod(&["check", &text(&lab.scan("fine.toml", SCAN)), "--instrument", &text(&lab.instrument())]);
+    assert_eq!(said.code, 0, "the scan does not need the reflecting diffuser: {}", said.err);
+}

@@ -14,8 +14,14 @@ use goniod_sim::truth::sample::Sample;
 use goniod_sim::truth::vector;
 use std::path::Path;
 
-/// Largest error of a direct-hemispherical value, relative.
+/// Largest error of a direct-hemispherical value where the exposures suffice, relative.
 const HEMISPHERICAL: f64 = 0.015;
+
+/// Share of patches within k = 2 where the parts of the uncertainty are many and none is the greatest by far.
+const COVERAGE: [f64; 2] = [0.93, 0.99];
+
+/// The same where the greatest part, the response's or the dark's, is common to all patches and a bound more than a spread.
+const BOUNDED: [f64; 2] = [0.93, 1.0];
 
 struct Case {
     name: &'static str,
@@ -28,18 +34,37 @@ struct Case {
     whole_camera: bool,
     /// Benches, each built differently within the stated uncertainties.
     seeds: u64,
+    /// Largest error of a direct-hemispherical value, relative.
+    worst: f64,
+    /// Least and greatest share of patches within k = 2.
+    coverage: [f64; 2],
 }
 
-const CASES: [Case; 3] = [
+const CASES: [Case; 4] = [
     Case {
         name: "Lambertian T 0.2",
         sample: "lambertian_t20",
         directions: "[[0, 180], [40, 90], [70, 300]]",
         sides: r#""transmission-front", "reflection-front""#,
         shortest_s: "0.008",
-        longest_s: "8.0",
+        longest_s: "32.768",
         whole_camera: false,
         seeds: 20,
+        worst: HEMISPHERICAL,
+        coverage: BOUNDED,
+    },
+    // Blue sees little through f4 and f6, the dark frames are black: what is not known is told, and is not weighed.
+    Case {
+        name: "the same, too dim",
+        sample: "lambertian_t20",
+        directions: "[[0, 180], [40, 90], [70, 300]]",
+        sides: r#""transmission-front", "reflection-front""#,
+        shortest_s: "0.004",
+        longest_s: "0.5",
+        whole_camera: false,
+        seeds: 6,
+        worst: 0.10,
+        coverage: BOUNDED,
     },
     Case {
         name: "clear glazing 3 mm",
@@ -50,6 +75,8 @@ const CASES: [Case; 3] = [
         longest_s: "64.0",
         whole_camera: true,
         seeds: 3,
+        worst: HEMISPHERICAL,
+        coverage: COVERAGE,
     },
     Case {
         name: "prism film",
@@ -60,6 +87,8 @@ const CASES: [Case; 3] = [
         longest_s: "64.0",
         whole_camera: true,
         seeds: 3,
+        worst: HEMISPHERICAL,
+        coverage: COVERAGE,
     },
 ];
 
@@ -165,7 +194,7 @@ impl Tally {
     fn take(&mut self, set: &BsdfSet, column: &Column, sample: &Sample, weights: &[(f64, f64)], verbose: bool) {
         let (patches, sum) = truth(set, column, sample, weights);
         let error = column.hemispherical / sum - 1.0;
-        if verbose || error.abs() > HEMISPHERICAL {
+        if verbose || error.abs() > 2.0 * column.hemispherical_u / sum {
             let (theta, phi) = column.incident.degrees();
             println!(
                 "    {:?} at ({theta:.0}, {phi:.0}): true {sum:.5}, measured {:.5} ± {:.5} (k = 2), {:+.2} %",
@@ -241,11 +270,14 @@ fn what_was_put_on_the_bench_comes_back() {
             t.patches,
             100.0 * coverage,
         ));
-        if t.hemispherical_worst > HEMISPHERICAL {
+        if t.hemispherical_worst > case.worst {
             failed.push(format!("{}: hemispherical error {:.2} %", case.name, 100.0 * t.hemispherical_worst));
         }
-        if !(0.93..=0.99).contains(&coverage) {
+        if !(case.coverage[0]..=case.coverage[1]).contains(&coverage) {
             failed.push(format!("{}: {:.1} % of patches within k = 2", case.name, 100.0 * coverage));
+        }
+        if (t.sums_within as f64) < case.coverage[0] * t.hemispherical_n as f64 {
+            failed.push(format!("{}: {} of {} sums within k = 2", case.name, t.sums_within, t.hemispherical_n));
         }
     }
     println!("\nVisible                               hemispherical, %             patches");

@@ -2,6 +2,7 @@
 //! judges a simulated one.
 
 pub mod api;
+pub mod bands;
 pub mod bench;
 pub mod cli;
 pub mod daemon;

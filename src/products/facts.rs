@@ -208,8 +208,9 @@ fn notes(run: &Run, facts: &Facts) -> Vec<String> {
     }
     for dark in &facts.darks {
         notes.push(format!(
-            "Dark signal of {}: {} hot pixels left out, {} pixels unreadable, standard uncertainty of a pixel's rate {:.2e}/s.",
-            dark.camera, dark.hot_pixels, dark.unreadable_pixels, dark.u_rate
+            "Dark signal of {}: {} hot pixels left out, {} too dark to be read one by one, standard uncertainty {:.2e}/s of a \
+             pixel's rate, {:.2e}/s of what all share.",
+            dark.camera, dark.hot_pixels, dark.unreadable_pixels, dark.u_rate, dark.u_common
         ));
     }
     notes

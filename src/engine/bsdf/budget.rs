@@ -10,6 +10,8 @@ pub struct Budget {
     pub random: f64,
     /// Pixels below the floor.
     pub floor: f64,
+    /// Dark rate, as far as the dark frames leave it open for all pixels.
+    pub dark: f64,
     /// Residual of the response curve.
     pub response: f64,
     /// Scale: the reference's value, or responsivity and irradiance in absolute mode.
@@ -53,9 +55,10 @@ pub struct PatchBsdf {
 impl Budget {
     /// All parts that are fully correlated over a column, in a fixed order, as signed effects of one standard
     /// deviation of their cause.
-    pub fn common(&self) -> [f64; 8] {
+    pub fn common(&self) -> [f64; 9] {
         [
             self.floor,
+            self.dark,
             self.response,
             self.scale,
             self.drift,

@@ -39,7 +39,7 @@ pub fn hemispherical(basis: &AngleBasis, column: &[PatchBsdf]) -> Result<Hemisph
         return Ok(Hemispherical { value: f64::NAN, u: f64::NAN, lower_bound: 0.0, measured: 0.0, complete: false });
     }
     let (mut sum, mut filled, mut weight, mut random) = (0.0, 0.0, 0.0, 0.0);
-    let (mut common, mut geometry) = ([0.0; 8], [0.0; 3]);
+    let (mut common, mut geometry) = ([0.0; 9], [0.0; 3]);
     for (i, (p, l)) in column.iter().zip(&lambda).enumerate() {
         let ring = basis.place(i).map_or(0, |(r, _)| r);
         let known = if p.bsdf.is_nan() { 0.0 } else { p.coverage.clamp(0.0, 1.0) };

@@ -78,6 +78,8 @@ fn ratio_patch(s: &PatchMean, r: &PatchMean, scale: f64, terms: &RatioTerms) -> 
     let budget = Budget {
         random: (k * s.u_random).hypot(bsdf * r.u_random / r.rate),
         floor: (k * s.u_floor).hypot(bsdf * r.u_floor / r.rate),
+        // one dark rate under both views
+        dark: (k * s.u_dark - bsdf * r.u_dark / r.rate).abs(),
         response: (a * a + b * b - 2.0 * SHARED_LEVELS * a * b).max(0.0).sqrt(),
         scale: bsdf * terms.reference_relative_u,
         drift: bsdf * terms.drift_relative_u,
@@ -107,6 +109,7 @@ pub fn absolute(sample: &[PatchMean], terms: &AbsoluteTerms) -> Result<Vec<Patch
         let budget = Budget {
             random: k * s.u_random,
             floor: k * s.u_floor,
+            dark: k * s.u_dark,
             response: k * s.u_response,
             scale: bsdf * terms.scale_relative_u,
             drift: bsdf * terms.drift_relative_u,

@@ -11,6 +11,8 @@ pub struct PatchMean {
     pub u_random: f64,
     /// From pixels below the floor (floor/sqrt 12 each), fully correlated.
     pub u_floor: f64,
+    /// From what is not known of the dark rate of all pixels, fully correlated.
+    pub u_dark: f64,
     /// From the residual of the response curve, residual x s(N) x L, fully correlated.
     pub u_response: f64,
     /// Change for a shift by one standard uncertainty of direction along columns and rows, and what the point spread may
@@ -46,6 +48,7 @@ impl PatchMean {
             rate: f64::NAN,
             u_random: 0.0,
             u_floor: 0.0,
+            u_dark: 0.0,
             u_response: 0.0,
             u_geometry: [0.0; 3],
             measured: 0.0,
@@ -67,6 +70,7 @@ impl PatchMean {
             rate: self.rate * factor,
             u_random: self.u_random * factor,
             u_floor: self.u_floor * factor,
+            u_dark: self.u_dark * factor,
             u_response: self.u_response * factor,
             u_geometry: self.u_geometry.map(|u| u * factor),
             max: self.max * factor,
@@ -84,6 +88,7 @@ impl PatchMean {
             rate: mix(self.rate, other.rate),
             u_random: ((1.0 - weight) * self.u_random).hypot(weight * other.u_random),
             u_floor: mix(self.u_floor, other.u_floor),
+            u_dark: mix(self.u_dark, other.u_dark),
             u_response: mix(self.u_response, other.u_response),
             u_geometry: [0, 1, 2].map(|k| mix(self.u_geometry[k], other.u_geometry[k])),
             measured: mix(self.measured, other.measured),

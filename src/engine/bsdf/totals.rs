@@ -13,8 +13,8 @@ const LEAST_COVERAGE: f64 = 0.5;
 ///
 /// Random parts are independent between readings; every other part is one cause acting on all readings, but whether
 /// its effects have the same sign is not always known (response, drift between bands), so the larger of the coherent
-/// sum and the root of the sum of squares is taken. A patch uses the readings it has; which they are changes its
-/// weights.
+/// sum and the root of the sum of squares is taken. A patch uses the readings it has; which they are, and how sure each
+/// of them is, changes its weights.
 ///
 /// # Errors
 /// As many readings as the combiner has kernels are needed, all with the same number of patches.
@@ -28,16 +28,30 @@ pub fn combine(combiner: &Combiner, readings: &[&[PatchBsdf]]) -> Result<Vec<Pat
         let what = "the patches of a reading";
         return Err(EngineError::Length { what, expected: patches, got: odd.len() });
     }
-    let mut cache: HashMap<Vec<bool>, Option<Weights>> = HashMap::new();
+    let mut cache: HashMap<Vec<Option<u8>>, Option<Weights>> = HashMap::new();
     let mut out = Vec::with_capacity(patches);
     for patch in 0..patches {
         let here: Vec<PatchBsdf> =
             readings.iter().map(|r| r.get(patch).copied().unwrap_or(PatchBsdf::nothing())).collect();
-        let used: Vec<bool> = here.iter().map(|p| p.bsdf.is_finite() && p.coverage >= LEAST_COVERAGE).collect();
-        let weights = cache.entry(used).or_insert_with_key(|used| combiner.weights(used));
+        let weights = cache.entry(steps(combiner, &here)).or_insert_with_key(|steps| combiner.weights(steps));
         out.push(weights.as_ref().map_or(PatchBsdf::nothing(), |w| total(w, &here)));
     }
     Ok(out)
+}
+
+/// Standard uncertainty of a reading by itself: what other readings of the patch do not share, or not in the same measure.
+fn own(p: &PatchBsdf) -> f64 {
+    let b = &p.budget;
+    [b.random, b.floor, b.dark, b.response, b.missing].iter().map(|u| u * u).sum::<f64>().sqrt()
+}
+
+/// How noisy each reading is, in steps of the combiner; `None` for one that is not used.
+fn steps(combiner: &Combiner, readings: &[PatchBsdf]) -> Vec<Option<u8>> {
+    let is_used = |p: &PatchBsdf| p.bsdf.is_finite() && p.coverage >= LEAST_COVERAGE;
+    let used = readings.iter().filter(|p| is_used(p));
+    let (sum, n) = used.fold((0.0, 0.0), |(sum, n), p| (sum + p.bsdf.abs(), n + 1.0));
+    let step = |p: &PatchBsdf| combiner.noise_step(own(p) * n / sum);
+    readings.iter().map(|p| is_used(p).then(|| step(p))).collect()
 }
 
 fn total(w: &Weights, readings: &[PatchBsdf]) -> PatchBsdf {
@@ -47,10 +61,10 @@ fn total(w: &Weights, readings: &[PatchBsdf]) -> PatchBsdf {
         let u = of(f);
         w.correlated(&u).abs().max(w.independent(&u))
     };
-    let noise = of(|p| p.budget.random.hypot(p.budget.floor));
     let budget = Budget {
         random: w.independent(&random),
         floor: cautious(|p| p.budget.floor),
+        dark: cautious(|p| p.budget.dark),
         response: cautious(|p| p.budget.response),
         scale: w.correlated(&of(|p| p.budget.scale)).abs(),
         drift: cautious(|p| p.budget.drift),
@@ -61,7 +75,7 @@ fn total(w: &Weights, readings: &[PatchBsdf]) -> PatchBsdf {
         ],
         incidence: w.correlated(&of(|p| p.budget.incidence)).abs(),
         vignetting: w.correlated(&of(|p| p.budget.vignetting)).abs(),
-        spectral: w.spectral(&y, &noise),
+        spectral: w.spectral(&y, &of(own)),
         missing: cautious(|p| p.budget.missing),
     };
     let used = || readings.iter().zip(&w.c).filter(|(p, c)| **c != 0.0 && p.bsdf.is_finite()).map(|(p, _)| p);

@@ -185,6 +185,17 @@ impl LevelTable {
         self.floor_x
     }
 
+    /// Least exposure of class [`Class::Good`]: noise does not carry it below the floor.
+    pub(super) fn least_good_x(&self) -> f64 {
+        self.details.iter().find(|d| d.class == Class::Good).map_or(f64::INFINITY, |d| d.x)
+    }
+
+    /// Variance of a reading at exposure `x`.
+    pub(super) fn variance_at(&self, x: f64) -> f64 {
+        let x = x.max(self.floor_x);
+        self.radiometer.variance(x, self.radiometer.response.ndl(x), true)
+    }
+
     /// Least and greatest exposure that noise carries to no end of the range, twice as far as [`Class::Good`] asks: such
     /// readings are unbiased also where another reading of the pixel chose them.
     pub(super) fn sure_x(&self) -> (f64, f64) {

@@ -4,7 +4,7 @@
 //! frame is cut into fixed tiles that are summed in tile order, so the result does not depend on the number of
 //! threads.
 
-use super::dark::Dark;
+use super::dark::{Dark, cut_shift};
 use super::levels::{Class, LevelTable, Reading};
 use crate::bsdf::patches::{PatchMean, ViewPatches};
 use crate::error::EngineError;
@@ -38,8 +38,9 @@ struct Sums {
 /// What the bracket says of one pixel.
 #[derive(Debug, Clone, Copy)]
 enum Pixel {
-    /// Rate, its variance, rate x s(N) (1/s).
-    Measured { l: f64, var: f64, ls: f64 },
+    /// Rate, its variance, rate x s(N) (1/s), the dark's common uncertainty; where noise could have cut the reading off, the
+    /// standard deviation of that noise, else 0.
+    Measured { l: f64, var: f64, ls: f64, dark: f64, low: f64 },
     /// Black even in the longest exposure: the rate lies between 0 and `floor`.
     BelowFloor { floor: f64 },
     /// Saturated even in the shortest exposure: the rate is at least `least`.
@@ -55,6 +56,9 @@ struct Patch {
     l: f64,
     var: f64,
     ls: f64,
+    dark: f64,
+    low_weight: f64,
+    low: f64,
     floor_weight: f64,
     floor: f64,
     missing: f64,
@@ -178,7 +182,7 @@ impl<P: Reading> Merge<'_, P> {
                 Pixel::Masked
             } else if s.w > 0.0 {
                 let v = 1.0 / s.w;
-                Pixel::Measured { l: s.wl * v - dark, var: v, ls: s.wls * v }
+                Pixel::Measured { l: s.wl * v - dark, var: v, ls: s.wls * v, dark: self.dark.u_common, low: 0.0 }
             } else {
                 self.rare(start + k, dark)
             }
@@ -194,9 +198,13 @@ impl<P: Reading> Merge<'_, P> {
             let t = e.t_s;
             match d.class {
                 Class::Good | Class::Low => {
-                    return Pixel::Measured { l: d.x / t - dark, var: d.var / (t * t), ls: d.xs / t };
+                    let low = if d.class == Class::Low { d.var.sqrt() / t } else { 0.0 };
+                    let (var, ls) = (d.var / (t * t), d.xs / t);
+                    return Pixel::Measured { l: d.x / t - dark, var, ls, dark: self.dark.u_common, low };
                 }
-                Class::Black if k == 0 => return Pixel::BelowFloor { floor: (self.floor_x / t - dark).max(0.0) },
+                Class::Black if k == 0 => {
+                    return Pixel::BelowFloor { floor: (self.floor_x / t - self.dark.least(i)).max(0.0) };
+                }
                 Class::Black => break,
                 Class::Saturated => {}
             }
@@ -233,7 +241,10 @@ impl Pixel {
     /// Divided by VC, told as the gain 1/VC.
     fn scaled(self, gain: f64) -> Pixel {
         match self {
-            Pixel::Measured { l, var, ls } => Pixel::Measured { l: l * gain, var: var * gain * gain, ls: ls * gain },
+            Pixel::Measured { l, var, ls, dark, low } => {
+                let (l, var, ls) = (l * gain, var * gain * gain, ls * gain);
+                Pixel::Measured { l, var, ls, dark: dark * gain, low: low * gain }
+            }
             Pixel::BelowFloor { floor } => Pixel::BelowFloor { floor: floor * gain },
             Pixel::Missing { least } => Pixel::Missing { least: least * gain },
             Pixel::Masked => Pixel::Masked,
@@ -255,11 +266,16 @@ impl Patch {
     #[inline]
     fn take(&mut self, pixel: &Pixel, weight: f64) {
         match *pixel {
-            Pixel::Measured { l, var, ls } => {
+            Pixel::Measured { l, var, ls, dark, low } => {
                 self.measured += weight;
                 self.l += weight * l;
                 self.var += weight * weight * var;
                 self.ls += weight * ls;
+                self.dark += weight * dark;
+                if low > 0.0 {
+                    self.low_weight += weight;
+                    self.low += weight * low;
+                }
                 self.max = self.max.max(l);
                 self.pixels += 1;
             }
@@ -282,6 +298,9 @@ impl Patch {
         self.l += other.l;
         self.var += other.var;
         self.ls += other.ls;
+        self.dark += other.dark;
+        self.low_weight += other.low_weight;
+        self.low += other.low;
         self.floor_weight += other.floor_weight;
         self.floor += other.floor;
         self.missing += other.missing;
@@ -292,6 +311,12 @@ impl Patch {
             self.g[k] += other.g[k];
             self.gl[k] += other.gl[k];
         }
+    }
+
+    /// What readings near the floor are too high because others of the patch, cut off, are black.
+    fn cut_off(&self) -> f64 {
+        let near = self.floor_weight + self.low_weight;
+        if self.low_weight > 0.0 { cut_shift(self.floor_weight / near) * self.low } else { 0.0 }
     }
 
     /// Mean over what was measured or is known to lie below the floor.
@@ -309,7 +334,8 @@ impl Patch {
         PatchMean {
             rate,
             u_random: (self.var / (known * known) + u_dark * u_dark / n).sqrt(),
-            u_floor: self.floor / 12.0_f64.sqrt() / known,
+            u_floor: (self.floor / 12.0_f64.sqrt() + self.cut_off()) / known,
+            u_dark: self.dark / known,
             u_response: residual_ndl * (self.ls / known - common * self.measured / known).abs(),
             u_geometry: [gradient(0), gradient(1), RESOLUTION * gradient(2)],
             measured: in_frame * self.measured / all,
@@ -388,6 +414,35 @@ mod tests {
                 let bias = mean / n / rate - 1.0;
                 assert!(bias.abs() < 3e-3, "{rate}/s: bias {bias:.2e}");
                 assert!(chi2 / n < 1.7 && chi2 / n > 0.5, "{rate}/s: chi2 {}", chi2 / n);
+            }
+        }
+    }
+
+    /// What dark frames and picture leave open near the floor is in the uncertainty: rates from none at all to many times the
+    /// floor, over a dark rate from none to twice the floor.
+    #[test]
+    fn dim_patches_over_an_unreadable_dark_are_within_two_standard_uncertainties() {
+        let spec = maps::small(Mosaic::Mono);
+        let map = PixelMap::build(&spec).unwrap();
+        let (table, t_s) = (LevelTable::of(ccd()).unwrap(), 2.56);
+        let floor = table.bottom_x() / t_s;
+        let mut seed = 29;
+        let mut frame = |rate: f64, dark: f64| -> Vec<u16> {
+            let x = |i| exposure(&spec, i, rate, t_s) + dark * t_s;
+            (0..map.pixels()).map(|i| noisy(&ccd(), x(i), &mut seed)).collect()
+        };
+        for dark_rate in [0.0, 0.1, 0.5, 0.9, 1.0, 1.3, 2.0].map(|d| d * floor) {
+            let black = [frame(0.0, dark_rate), frame(0.0, dark_rate)];
+            let dark = Dark::estimate(&table, &black.each_ref().map(|f| Exposure { t_s, pixels: &f[..] }), 0).unwrap();
+            for rate in [0.0, 0.05, 0.3, 0.8, 1.0, 1.2, 2.0, 10.0, 100.0].map(|r| r * floor) {
+                let lit = frame(rate, dark_rate);
+                let view = merge(&map, &table, &dark, &[Exposure { t_s, pixels: &lit[..] }]).unwrap();
+                let patches = &view.channels[0];
+                let mean = |f: fn(&PatchMean) -> f64| patches.iter().map(f).sum::<f64>() / patches.len() as f64;
+                let u = mean(|p| p.u_floor).hypot(mean(|p| p.u_dark)).hypot(2e-3 * (rate + dark_rate));
+                let error = mean(|p| p.rate) - rate;
+                assert!(error.abs() < 2.0 * u, "rate {rate:.4}, dark {dark_rate:.4}: {error:.5} with u {u:.5}");
+                assert!(u < 0.6 * floor + 0.005 * rate, "rate {rate:.4}, dark {dark_rate:.4}: u {u:.5}");
             }
         }
     }

@@ -2,13 +2,19 @@
 //!
 //! Any wanted quantity is a functional <g,S>, sum g = 1; each reading is y_k = <K_k,S>, sum K_k = 1. The weights
 //! minimise (g - K^T c)^T M (g - K^T c) + c^T N c under sum c = 1: M is the covariance of a smooth spectrum (Matern
-//! 3/2), N the reading noise. sum c = 1 makes a neutral sample exact; what is left is the posterior variance of
-//! <g,S>.
+//! 3/2), N the variance of the readings' own errors. sum c = 1 makes a neutral sample exact; what is left is the posterior
+//! variance of <g,S>.
 
 use super::curve::Grid;
 use super::kernels::Kernel;
 use crate::error::EngineError;
 use nalgebra::{DMatrix, DVector};
+
+/// Standard deviation of a spectrum over its mean, to tell the readings' errors in units of the spectrum.
+const TYPICAL_VARIABILITY: f64 = 0.25;
+
+/// Steps of noise that are told apart, each twice the one before.
+const MOST_NOISE: u8 = 12;
 
 /// Spectral variability assumed where it cannot be estimated (a single reading), relative to the reading.
 const UNKNOWN_VARIABILITY: f64 = 0.3;
@@ -41,9 +47,11 @@ pub struct Weights {
     pub c: Vec<f64>,
     /// sqrt of (g - K^T c)^T M (g - K^T c): standard deviation of the error for a spectrum of unit variability.
     pub norm: f64,
-    /// Expected sum of squares of the readings about their mean for a spectrum of unit variability.
+    /// Expected sum of squares of the readings about their mean for a spectrum of unit variability, each counted as much
+    /// as it is trusted.
     pub spread: f64,
-    used: Vec<bool>,
+    /// 1/(1 + noise variance) a reading, in units of the spectrum; zero where it is not used.
+    trust: Vec<f64>,
 }
 
 // === impl Prior ===
@@ -109,16 +117,28 @@ impl Combiner {
         self.cross.len()
     }
 
-    /// Optimal weights from the readings marked in `used`; `None` if none is marked.
-    pub fn weights(&self, used: &[bool]) -> Option<Weights> {
-        let index: Vec<usize> = (0..self.readings()).filter(|&i| used.get(i) == Some(&true)).collect();
-        let n = index.len();
+    /// The step of noise of a reading whose standard uncertainty is `relative` of what all readings say in the mean: 0
+    /// where the prior's noise covers it, each further step twice as noisy. In steps, because weights follow from steps and
+    /// few of them are made for all patches.
+    pub fn noise_step(&self, relative: f64) -> u8 {
+        let steps = (relative / (TYPICAL_VARIABILITY * self.noise.sqrt())).log2().round();
+        if steps > 0.0 { steps.min(f64::from(MOST_NOISE)) as u8 } else { 0 }
+    }
+
+    /// Optimal weights from readings of so many steps of noise; `None` marks a reading that is not used. `None` if none
+    /// is.
+    pub fn weights(&self, steps: &[Option<u8>]) -> Option<Weights> {
+        let used: Vec<(usize, u8)> =
+            (0..self.readings()).filter_map(|i| Some((i, steps.get(i).copied().flatten()?))).collect();
+        let n = used.len();
         if n == 0 {
             return None;
         }
+        let index: Vec<usize> = used.iter().map(|(i, _)| *i).collect();
+        let noise = DVector::from_iterator(n, used.iter().map(|(_, s)| self.noise * 4.0_f64.powi(i32::from(*s))));
         let gram = self.gram.select_rows(&index).select_columns(&index);
         let cross = self.cross.select_rows(&index);
-        let a = &gram + DMatrix::identity(n, n) * self.noise;
+        let a = &gram + DMatrix::from_diagonal(&noise);
         let solver = a.cholesky()?;
         let ones = DVector::from_element(n, 1.0);
         let (from_target, from_ones) = (solver.solve(&cross), solver.solve(&ones));
@@ -127,20 +147,24 @@ impl Combiner {
         let mut c = from_target + from_ones * mu;
         c /= c.sum();
         let variance = self.target - 2.0 * c.dot(&cross) + (&gram * &c).dot(&c);
-        let mut all = vec![0.0; self.readings()];
-        for (&i, &w) in index.iter().zip(c.iter()) {
-            if let Some(slot) = all.get_mut(i) {
-                *slot = w;
+        let trust = noise.map(|noise| 1.0 / (1.0 + noise));
+        let spread = gram.diagonal().dot(&trust) - (&gram * &trust).dot(&trust) / trust.sum();
+        let of_all = |list: &DVector<f64>| {
+            let mut all = vec![0.0; self.readings()];
+            for (&i, &value) in index.iter().zip(list.iter()) {
+                if let Some(slot) = all.get_mut(i) {
+                    *slot = value;
+                }
             }
-        }
-        let spread = gram.trace() - gram.sum() / n as f64;
-        let used = (0..self.readings()).map(|i| used.get(i) == Some(&true)).collect();
-        Some(Weights { c: all, norm: variance.max(0.0).sqrt(), spread: spread.max(0.0), used })
+            all
+        };
+        let (norm, spread) = (variance.max(0.0).sqrt(), spread.max(0.0));
+        Some(Weights { c: of_all(&c), norm, spread, trust: of_all(&trust) })
     }
 
-    /// Optimal weights from all readings.
+    /// Optimal weights from all readings, all as good as the prior says.
     pub fn all(&self) -> Option<Weights> {
-        self.weights(&vec![true; self.readings()])
+        self.weights(&vec![Some(0); self.readings()])
     }
 }
 
@@ -162,19 +186,21 @@ impl Weights {
         self.value(u)
     }
 
-    /// Spectral variability of the sample estimated from the scatter of the readings beyond their noise `u`; zero for
+    /// Spectral variability of the sample estimated from the scatter of the readings beyond their own errors `u`; zero for
     /// a neutral sample. A single reading cannot tell: 30 % of it is assumed.
     pub fn variability(&self, y: &[f64], u: &[f64]) -> f64 {
-        let n = self.used.iter().filter(|u| **u).count() as f64;
-        if n < 2.0 || self.spread <= 0.0 {
+        let trusted =
+            || self.trust.iter().zip(y).zip(u).filter(|((t, _), _)| **t > 0.0).map(|((t, y), u)| (*t, *y, *u));
+        if trusted().count() < 2 || self.spread <= 0.0 {
             return UNKNOWN_VARIABILITY * self.value(y).abs();
         }
+        let all: f64 = self.trust.iter().sum();
         // deviations from the first reading used: exactly zero where all are equal
-        let first = self.picked(y).map(|(_, y)| y).next().unwrap_or(0.0);
-        let (sum, squares) = self.picked(y).fold((0.0, 0.0), |s, (_, y)| (s.0 + y - first, s.1 + (y - first).powi(2)));
-        let scatter = squares - sum * sum / n;
-        let noise: f64 = self.picked(u).map(|(_, u)| u * u).sum::<f64>() * (1.0 - 1.0 / n);
-        ((scatter - noise).max(0.0) / self.spread).sqrt()
+        let first = trusted().next().map_or(0.0, |(_, y, _)| y);
+        let deviations = trusted().map(|(t, y, _)| (t, y - first));
+        let (sum, squares) = deviations.fold((0.0, 0.0), |s, (t, d)| (s.0 + t * d, s.1 + t * d * d));
+        let noise: f64 = trusted().map(|(t, _, u)| t * u * u * (1.0 - t / all)).sum();
+        ((squares - sum * sum / all - noise).max(0.0) / self.spread).sqrt()
     }
 
     /// Standard uncertainty from not knowing the spectrum between the kernels: posterior sd x variability.
@@ -185,7 +211,7 @@ impl Weights {
     }
 
     fn picked<'a>(&'a self, y: &'a [f64]) -> impl Iterator<Item = (f64, f64)> + 'a {
-        self.c.iter().zip(y).zip(&self.used).filter(|(_, used)| **used).map(|((c, y), _)| (*c, *y))
+        self.c.iter().zip(y).zip(&self.trust).filter(|(_, trust)| **trust > 0.0).map(|((c, y), _)| (*c, *y))
     }
 }
 
@@ -219,7 +245,7 @@ mod tests {
         for target in targets(&grid) {
             let combiner = Combiner::new(&grid, &kernels, &target, Prior::default()).unwrap();
             for skip in 0..24 {
-                let used: Vec<bool> = (0..24).map(|i| i != skip).collect();
+                let used: Vec<Option<u8>> = (0..24).map(|i| (i != skip).then_some((i % 5) as u8)).collect();
                 let w = combiner.weights(&used).unwrap();
                 assert!((w.c.iter().sum::<f64>() - 1.0).abs() < 1e-12);
                 assert_eq!(w.c[skip], 0.0);
@@ -258,6 +284,22 @@ mod tests {
         }
     }
 
+    /// Three channels of one band, the last with hardly any light: without its noise it would have the greatest weight.
+    #[test]
+    fn a_noisy_reading_has_little_weight() {
+        let grid = Grid::engine();
+        let kernels = testdata::kernels(&grid);
+        let kernels: Vec<&Kernel> = kernels.iter().filter(|k| k.band == "f5").collect();
+        let target = radiometric(&grid, &grid.sample(&testdata::lamp()), [545.0, 655.0]);
+        let combiner = Combiner::new(&grid, &kernels, &target, Prior::default()).unwrap();
+        let (calm, noisy) = (combiner.all().unwrap(), combiner.weights(&[Some(0), Some(0), Some(5)]).unwrap());
+        assert!(calm.c[2] > 0.8 && noisy.c[2].abs() < 0.4, "{:?} {:?}", calm.c, noisy.c);
+        assert!((noisy.c.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+        assert!(noisy.norm > calm.norm, "what noise takes away is told as spectral uncertainty");
+        assert_eq!([0.0, 0.005, 0.011, 0.16, f64::INFINITY].map(|u| combiner.noise_step(u)), [0, 0, 1, 5, MOST_NOISE]);
+        assert_eq!(combiner.noise_step(f64::NAN), 0);
+    }
+
     #[test]
     fn noise_gain_is_below_one_and_a_single_reading_is_honest() {
         let grid = Grid::engine();
@@ -268,11 +310,11 @@ mod tests {
         let gain = combiner.all().unwrap().independent(&[1.0; 24]);
         assert!(gain > 0.25 && gain < 0.75, "physics 3: |c| = 0.3 to 0.7, here {gain}");
         assert!((combiner.all().unwrap().correlated(&[0.01; 24]) - 0.01).abs() < 1e-12);
-        let one: Vec<bool> = (0..24).map(|i| i == 12).collect();
+        let one: Vec<Option<u8>> = (0..24).map(|i| (i == 12).then_some(0)).collect();
         let w = combiner.weights(&one).unwrap();
         assert_eq!(w.c[12], 1.0);
         assert!(w.spectral(&[0.5; 24], &[0.0; 24]) > 0.05);
-        assert!(combiner.weights(&[false; 24]).is_none());
+        assert!(combiner.weights(&[None; 24]).is_none());
         assert!(Combiner::new(&grid, &[], &target, Prior::default()).is_err());
         assert!(Combiner::new(&grid, &kernels, &vec![0.0; grid.len], Prior::default()).is_err());
     }

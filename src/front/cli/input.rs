@@ -4,12 +4,10 @@ use super::exit::Exit;
 use super::output::{Failure, Output};
 use crate::config::check::{Checked, Options, check};
 use crate::config::error::ConfigError;
-use crate::config::scan::Format;
-use crate::engine::bsdf::set::Quantity;
+use crate::front::bands::what_bands_give;
 use crate::front::bench::CAMERA_DRIVERS;
 use crate::front::night::stamp;
-use crate::products::error::ProductError;
-use crate::products::reduce::{InstrumentSpectra, Run, Setup, Standards, quantities};
+use crate::products::reduce::Run;
 use goniod_drivers::clock::{Clock, UtcMicros};
 use goniod_drivers::table::DRIVERS;
 use std::path::{Path, PathBuf};
@@ -34,35 +32,14 @@ impl ScanArgs {
         for warning in &checked.warnings {
             output.warn(&warning.to_string());
         }
-        if let Some(warning) = klems_without_reach(&checked).map_err(|e| Failure::new(Exit::BadInput, e.to_string()))? {
+        let told = what_bands_give(&checked);
+        if let Some(warning) =
+            told.map_err(|e| Failure::new(Exit::BadInput, format!("{}: {e}", self.scan.display())))?
+        {
             output.warn(&format!("{}: {warning}", self.scan.display()));
         }
         Ok(checked)
     }
-}
-
-/// What to know before the night, when the scan asks for a Klems file that its bands will not give.
-fn klems_without_reach(checked: &Checked) -> Result<Option<String>, ProductError> {
-    if !checked.scan.products.formats.contains(&Format::KlemsXml) {
-        return Ok(None);
-    }
-    let of_role = |role: &str| checked.files.iter().find(|f| f.role == role);
-    let text = |role: &str| Ok(of_role(role).map(|f| String::from_utf8_lossy(&f.bytes).into_owned()));
-    let spectra = InstrumentSpectra::of(&checked.instrument_dir, checked.calibrations.keys(), &text)?;
-    let standards = Standards::load()?;
-    let bands = &checked.scan.bands.names;
-    let given = quantities(Setup { instrument: &checked.instrument, bands, spectra: &spectra, standards: &standards })?;
-    let lacks = |there: bool, name: &'static str| (!there).then_some(name);
-    let visible = lacks(given.contains(&Quantity::Visible), "Visible");
-    let solar = lacks(given.iter().any(|q| matches!(q, Quantity::Solar { .. })), "Solar");
-    let lacking: Vec<&str> = visible.into_iter().chain(solar).collect();
-    Ok((!lacking.is_empty()).then(|| {
-        format!(
-            "`products.formats` asks for klems-xml, but the bands do not reach far enough for {}; that file will not be \
-             made unless `bands.use` names more bands",
-            lacking.join(" and ")
-        )
-    }))
 }
 
 /// What the checks are to know: the drivers of this build, and the day by this clock.

@@ -7,6 +7,7 @@ use super::worker::change;
 use crate::config::check::{Checked, check};
 use crate::config::instrument::Instrument;
 use crate::config::load::load;
+use crate::front::bands::what_bands_give;
 use crate::front::bench::{Opened, open_as_written};
 use crate::front::cli::input::check_options;
 use crate::front::cli::output::Failure;
@@ -51,8 +52,9 @@ pub fn check_for_queue(
     let checked = check(&scan, instrument, &check_options(clock))?;
     let plan = night::plan(&checked).map_err(|f| super::error::DaemonError::Plan(f.messages.join("; ")))?;
     let warnings = checked.warnings.iter().map(ToString::to_string);
+    let bands = what_bands_give(&checked).map_err(|e| super::error::DaemonError::Plan(e.to_string()))?;
     let lamp = night::lamp_warning(&checked.instrument, &plan, &hub.facts.runs_dir);
-    let warnings = warnings.chain(lamp).collect();
+    let warnings = warnings.chain(bands).chain(lamp).collect();
     let queued = QueuedScan {
         name: checked.scan.name.clone(),
         scan,

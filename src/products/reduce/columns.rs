@@ -235,6 +235,7 @@ impl Maker<'_> {
             facts.darks.push(DarkFacts {
                 camera: camera.clone(),
                 u_rate: dark.u_rate,
+                u_common: dark.u_common,
                 hot_pixels: dark.hot,
                 unreadable_pixels: dark.unreadable,
             });
@@ -305,9 +306,10 @@ fn at_time(known: &[(i64, &ViewPatches)], t: i64) -> Result<Option<ViewPatches>>
 // === impl Facts ===
 
 /// Names of the parts of the budget, in the order they are told.
-const PARTS: [&str; 11] = [
+const PARTS: [&str; 12] = [
     "counting noise and quantisation",
     "below the floor",
+    "dark signal",
     "response curve",
     "reference or scale",
     "lamp drift",
@@ -332,6 +334,7 @@ impl Facts {
             let parts = [
                 b.random,
                 b.floor,
+                b.dark,
                 b.response,
                 b.scale,
                 b.drift,

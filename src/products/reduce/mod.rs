@@ -2,10 +2,12 @@
 //!
 //! - [`inputs`]: what the run kept becomes the engine's values
 //! - [`optics`]: cameras, lenses and level tables; [`readings`]: spectral kernels of every band and channel
+//! - [`cover`]: do the tables reach as far as the bands see
 //! - [`planes`]: frames of several values a pixel; [`views`]: brackets of frames -> patch means
 //! - [`light`]: the lamp's level through the night; [`columns`]: sample over reference, bands into totals
 
 mod columns;
+mod cover;
 mod inputs;
 mod light;
 mod optics;
@@ -13,21 +15,14 @@ mod planes;
 mod readings;
 mod views;
 
+pub use cover::quantities;
 pub use inputs::{InstrumentSpectra, Run, Standards};
 pub use optics::radiometer;
 pub use readings::Setup;
 
 use super::error::Result;
-use crate::engine::bsdf::set::{BsdfSet, Quantity};
+use crate::engine::bsdf::set::BsdfSet;
 use serde::Serialize;
-
-/// The quantities that a scan will give if every view is measured.
-///
-/// # Errors
-/// Spectra that cannot be combined.
-pub fn quantities(setup: Setup<'_>) -> Result<Vec<Quantity>> {
-    Ok(readings::readings(setup)?.quantities.into_iter().map(|(quantity, _)| quantity).collect())
-}
 
 /// Result of a reduction.
 #[derive(Debug, Clone)]
@@ -66,9 +61,11 @@ pub struct DarkFacts {
     pub camera: String,
     /// Standard uncertainty of a pixel's dark rate, relative exposure per second.
     pub u_rate: f64,
+    /// Standard uncertainty that all pixels share, relative exposure per second.
+    pub u_common: f64,
     /// Pixels masked as hot.
     pub hot_pixels: usize,
-    /// Pixels whose dark stayed unreadable.
+    /// Pixels too dark to be read one by one.
     pub unreadable_pixels: usize,
 }
 

@@ -22,6 +22,8 @@ pub struct CameraOptics {
     pub straight: PixelMap,
     /// Pixels -> patches, exterior side towards the camera.
     pub flipped: PixelMap,
+    /// Pixels at the beginning of a frame that are no picture.
+    pub reserved: usize,
 }
 
 /// The emergent basis of a scan: that of its incidence, else Klems Full.
@@ -72,7 +74,8 @@ fn camera_optics(run: &Run, name: &str, camera: &Camera, calibration: &CameraCal
         })
     };
     let map = |flipped| PixelMap::build(&spec(flipped)?).map_err(engine(what()));
-    Ok(CameraOptics { table, straight: map(false)?, flipped: map(true)? })
+    let reserved = geometry.reserved_rows * camera.width_px;
+    Ok(CameraOptics { table, straight: map(false)?, flipped: map(true)?, reserved })
 }
 
 /// The mosaic of a format; pixels that hold several values come colour by colour.

@@ -99,7 +99,8 @@ fn lamp_scale(setup: Setup<'_>) -> f64 {
     setup.instrument.lamp.irradiance_uw_per_cm2.map_or(f64::NAN, |e| e / total)
 }
 
-fn slot_of<'a>(setup: Setup<'a>, band: &str) -> Result<&'a FilterSlot> {
+/// The wheel's place of a band.
+pub(super) fn slot_of<'a>(setup: Setup<'a>, band: &str) -> Result<&'a FilterSlot> {
     let slots = &setup.instrument.filter_wheel.slot;
     slots.values().find(|s| s.band == band).ok_or_else(|| {
         ProductError::Nothing(format!("the scan uses band `{band}`, which the run's instrument does not have"))

@@ -228,11 +228,11 @@ fn dark_of(camera: &str, optics: &CameraOptics, frames: &[Stored]) -> Result<Dar
     let bytes = eights(frames);
     let dark = if is_summed(frames) {
         let levels: Vec<Vec<SumLevel>> = frames.iter().map(Stored::levels).collect();
-        Dark::estimate(&optics.table, &sums(frames, &levels))
+        Dark::estimate(&optics.table, &sums(frames, &levels), optics.reserved)
     } else if bytes.is_empty() {
-        Dark::estimate(&optics.table, &sixteens(frames))
+        Dark::estimate(&optics.table, &sixteens(frames), optics.reserved)
     } else {
-        Dark::estimate(&optics.table, &bytes)
+        Dark::estimate(&optics.table, &bytes, optics.reserved)
     };
     dark.map_err(engine(format!("the dark frames of camera `{camera}`")))
 }
